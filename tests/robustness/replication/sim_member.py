@@ -39,7 +39,7 @@ class Wire:
     generation: int = 0
     last_arrival: float = 0.0
     answer_due: float = 0.0
-    # Messages wait until this time, as TCP repeats segments.
+    # Messages wait until this time, because TCP repeats lost segments.
     stalled_until: float = 0.0
     # The speed. On a slow connection no message overtakes another.
     bytes_per_second: float = float("inf")
@@ -89,7 +89,8 @@ class SimMember:
         # Whether its disk was put back to an earlier state, and whether another member has noticed that.
         self.rolled_back = self.refused = False
         self._next_step = float("inf")
-        # The number of its starts; how long the present step has waited for the disk; when the last wait ends.
+        # The number of its starts; how long the present step has waited for the disk; when the last wait ends; when the
+        # disk last answered.
         self._starts = 0
         self._waited = self._busy_until = self._hangs_since = 0.0
         self._checked = (0, 0)

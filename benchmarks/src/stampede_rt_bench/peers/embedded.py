@@ -62,15 +62,15 @@ class EmbeddedClient:
         self._address, self._needs = address, needs
 
     def put(self, payloads: Iterator[bytes]) -> None:
-        """Raises NotImplementedError: see `EmbeddedStampedeRt.lacks`."""
+        """Raises NotImplementedError: see `EmbeddedStampedeRt.unsupported`."""
         raise NotImplementedError
 
     def newest(self, turns: Iterator[int], receiver: Receiver) -> None:
-        """Raises NotImplementedError: see `EmbeddedStampedeRt.lacks`."""
+        """Raises NotImplementedError: see `EmbeddedStampedeRt.unsupported`."""
         raise NotImplementedError
 
     def interval(self, turns: Iterator[int], receiver: Receiver) -> None:
-        """Raises NotImplementedError: see `EmbeddedStampedeRt.lacks`."""
+        """Raises NotImplementedError: see `EmbeddedStampedeRt.unsupported`."""
         raise NotImplementedError
 
     def publish(self, steps: Iterator[Step]) -> None:
@@ -82,7 +82,7 @@ class EmbeddedClient:
     def subscribe(self, receiver: Receiver) -> None:
         """Subscribe to every item from the oldest one on, once the producer has made the channel.
 
-        The producer stops while too many items are unread, so no item is lost before that.
+        The producer stops while too many items are unread, so no item is lost before the subscription begins.
         """
         with st.connect(self._address, transport="shared") as rt:
             receiver.ready()

@@ -66,7 +66,7 @@ def _add_counters(
 
 
 def run_info(arguments: argparse.Namespace) -> int:
-    """Print a channel's counters and bounds."""
+    """Print a channel's policy and counters."""
     with connected(arguments) as rt:
         channel = existing(rt, arguments.channel)
         stats = channel.stats()

@@ -104,7 +104,7 @@ def test_only_a_short_window_in_memory_is_read_without_a_thread(
     expected = files.load(segments, one, decode, lambda: None)
     found = files.load_at_hand(segments, one, decode)
     if not reads_without_wait(tmp_path):
-        assert found is None, "a file system that cannot refuse to wait gets a thread"
+        assert found is None, "a read of a file system that cannot refuse to wait needs a thread"
         return
     assert found is not None
     assert seqs_of(found) == seqs_of(expected) == [4, 5]

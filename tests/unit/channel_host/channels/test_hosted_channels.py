@@ -1,4 +1,4 @@
-"""A channel and the memory of its host: consumption is bounded, too, but never stops where it frees memory."""
+"""A host limits the memory that consumption needs, but it never refuses consumption that frees memory."""
 
 from __future__ import annotations
 

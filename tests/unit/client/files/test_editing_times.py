@@ -32,7 +32,7 @@ def middle(chunk: tuple[int, int]) -> int:
 
 @pytest.mark.parametrize("finished", [True, False])
 def test_a_gap_of_damage_has_the_times_of_its_chunk(tmp_path: Path, finished: bool) -> None:
-    """The lost items have the times 4 to 6, also an earlier one, and the first item after them came late."""
+    """The lost items have the times 4, 5 and -1. The first item after them came late."""
     times = [1, 2, 3, 4, 5, -1, 3, 7, 8, 9, 10, 11]
     events = [item_entry(topic(), item(seq, time=START + at * MS)) for seq, at in enumerate(times, 1)]
     path = write(tmp_path / "a.mcap", events, chunk_items=3, finish=finished)
@@ -47,7 +47,7 @@ def test_a_gap_of_damage_has_the_times_of_its_chunk(tmp_path: Path, finished: bo
 
 
 def test_seqs_that_the_recorder_named_as_missing_do_not_hide_items_that_damage_took(tmp_path: Path) -> None:
-    """The second damaged chunk has a gap. An earlier version said that the first one had 0 items."""
+    """The second damaged chunk has a gap. An earlier version said that the first damaged chunk had 0 items."""
     events = [*entries("cam", range(1, 7)), gap("cam", 7, 10), *entries("cam", range(11, 17))]
     path = write(tmp_path / "a.mcap", events, chunk_items=3)
     chunks = chunks_of(path)

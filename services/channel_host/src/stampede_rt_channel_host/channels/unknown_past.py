@@ -115,7 +115,7 @@ class UnknownPast:
         self._stop = self._stop or stop
 
     def is_over(self, recorder: ChannelRecorder, now: int) -> bool:
-        """Whether the host knows all items now. Then memory has left the earlier items to the archive."""
+        """Whether the host knows all items now. If so, only the archive has the earlier items from now on."""
         if not (self._is_listed and self.is_fresh):
             return self._is_listed
         former = tuple(one for one in recorder.segments if one.end_seq <= self._first_seq)

@@ -25,8 +25,8 @@ class HandoffDecision:
     def next_handoff(self, now: int) -> pb.FeedHandoff | None:
         """The handoff for the next message; None: it comes later.
 
-        The next message has it if all changes wait, the replicas in sync have everything, and the copy has everything
-        with this message. Holds an idle channel now if the destination wants that.
+        The next message has it if the channel is held, the replicas in sync have everything, and the copy has
+        everything with this message. Holds an idle channel now if the destination wants that.
 
         Raises Unavailable if too few replicas are in sync.
         """

@@ -29,7 +29,7 @@ class AckWriter:
         self._acks: list[pb.PutAck] = []
         self._held = HeldAcks(self._on_due, spawn)
         self._is_writing = self._is_closed = False
-        self._started_write: StartedCoroutine | None = None  # has not ended; the task awaits its rest
+        self._started_write: StartedCoroutine | None = None  # a write that has not ended; the task awaits it
         self._wakeup = asyncio.Event()  # there are acks to write, or no more acks come
         self._room = asyncio.Event()  # a write has taken the acks
         self._task: asyncio.Task[None] | None = spawn(self._run())

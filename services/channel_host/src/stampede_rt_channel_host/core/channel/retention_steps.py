@@ -3,8 +3,8 @@
 SLICES_CONSUMED_MAX = 64
 """The most slices that one call collects by consumption, so that a consumer that catches up delays no other caller."""
 BACKLOG_ENTRIES_MAX = 512
-"""While outdated items still have this number of entries or more, consumption collects nothing. Otherwise a late item
-might have to free too many entries in one call, and to copy them for the reads that still show them.
+"""While outdated items still have this number of entries or more, consumption collects nothing. Otherwise the put of
+a late item might have to free too many entries in one call, and to copy them for the reads that still show them.
 """
 READS_RETRY_NANOS = 100 * 10**6
 """While long reads keep BACKLOG_ENTRIES_MAX entries, consumption checks them again after this time."""

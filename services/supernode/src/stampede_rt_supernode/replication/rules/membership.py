@@ -103,7 +103,7 @@ class Membership(NodeState):
             self._adopt()
 
     def on_introduced(self, member: Member) -> None:
-        """Remember a stranger, which says that it is a member."""
+        """Remember a stranger: a node that has named itself as a member, or that another stranger has named."""
         if self._strangers.get(member.member_id) != member:
             _remember(self._strangers, (member,), STRANGERS_MAX)
             if self._accepts_strangers:
@@ -280,7 +280,7 @@ class Membership(NodeState):
         return 0 if node is None else self.match_index.get(node, 0)
 
     def note_promises(self) -> None:
-        """Note as each follower's promise the committed entries that it has acknowledged.
+        """Note a promise of each follower: the committed entries that it has acknowledged.
 
         A follower must never come back without these entries.
         """
