@@ -90,7 +90,7 @@ async def first_consumers(rig: Rig, items: int) -> tuple[str, Work]:
 
 
 async def backwards(rig: Rig, items: int) -> tuple[str, Work]:
-    """The items that came last leave first. Every second item is consumed, too."""
+    """Every second item leaves. The consumers have consumed some of the other items."""
     channel, hosted = await opened(rig, consumers=10)
     now = rig.now()
     for at in range(items):

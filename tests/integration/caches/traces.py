@@ -1,5 +1,5 @@
-"""Records the entries that clients drop from their caches, and the parties that they ask then. Reads the documented
-rows.
+"""Records the entries that clients drop from their caches, and the parties that they ask then. Also reads the
+rows of the table in docs/connections.md.
 """
 
 from __future__ import annotations

@@ -56,8 +56,8 @@ def surveyed(rt: Any, found: list[object]) -> list[object]:
 def film(left: st.Channel, right: st.Channel, began: int, *seen: list[object]) -> None:
     """Put the frames of both cameras. Some frames of the right camera come late, out of order, or never.
 
-    Before the next frame, wait until the live consumer has `seen` all decided frames, so that it decides about each
-    frame early.
+    `seen`: the lists of the live consumers. Before the next frame, wait until every list has all decided frames. So
+    each consumer finds a frame soon after its decision.
     """
     decided = 0
     for number in range(FRAMES):
@@ -274,7 +274,7 @@ def test_replayed_matches_begin_with_earlier_items_and_continue(rt: st.Connectio
     how: dict[str, Any] = {"tolerance": "15ms", "unique": unique, "start": pair.began + 20 * MS, "partial": True}
     with pair.group.match(pair.left, **how) as matches:
         live = [[item.payload for item in one.values()] for one in islice(matches, 4)]
-    # Items that come after the start of the match, with earlier times.
+    # `too_early`: the number of items that come after the match has begun, with times before its start.
     for start, too_early in (
         (pair.end, 0),
         (pair.start, 2),

@@ -1,5 +1,5 @@
-"""Reads from shared memory, with real processes: the programs that get this memory, their answers, and the end of a
-killed program.
+"""Reads from shared memory, with real processes: the programs that get this memory, the answers of the reads, and the
+end of a killed program.
 """
 
 from __future__ import annotations

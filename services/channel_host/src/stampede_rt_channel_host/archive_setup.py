@@ -24,7 +24,7 @@ def set_up_archive(
     accounts: Accounts,
     now: Callable[[], int],
 ) -> None:
-    """Give the recorded channels of a host their archive. `folder` None: the host has none. Blocks."""
+    """Give the recorded channels of a host their archive. `folder` None: the host has none. Blocks its thread."""
     recordings.archive = None if folder is None else _archive(folder, objects, accounts, now)
     recordings.write_retries = lambda window: retries_to(window, now())
     recordings.read_retries = lambda encoded: retries_of(encoded, now())

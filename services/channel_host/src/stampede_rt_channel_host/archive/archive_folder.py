@@ -108,7 +108,7 @@ class ArchiveFolder:
         return self.channels / channel_id.hex()
 
     def of_channels(self) -> Iterator[FoundFolder]:
-        """The folders of all channels, including deleted channels. Blocks. Raises OSError."""
+        """The folders of all channels, including deleted channels. Blocks its thread. Raises OSError."""
         return folders_of_channels(self.path / _CHANNELS)
 
     def limit_bytes(self, used_bytes: int, reserved_bytes: int = 0) -> int:

@@ -138,7 +138,7 @@ class ChannelDiskUse:
 
 
 def folders_of_channels(path: Path) -> Iterator[FoundFolder]:
-    """The folders of channels in `path`. Blocks. Leaves out all other entries."""
+    """The folders of channels in `path`. Blocks its thread. Leaves out all other entries."""
     with os.scandir(path) as entries:
         for entry in entries:
             try:

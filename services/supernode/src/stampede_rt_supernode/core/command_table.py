@@ -44,7 +44,7 @@ def kind_of(operation: Operation) -> CommandKind[Any, Any]:
 
 
 def subject_of(operation: Operation) -> str:
-    """The subject of an operation: its class name, and the id or name of its thing; see CommandKind."""
+    """The subject of an operation: its class name, and the id or name of the object that it concerns."""
     return f"{type(operation).__name__} {kind_of(operation).subject(operation)}"
 
 

@@ -1,4 +1,6 @@
-"""The list of a channel's objects on the disk of its host, for starts while the object store is unreachable. Blocks."""
+"""The list of a channel's objects on the disk of its host, for starts while the object store is unreachable. Calls
+block their thread.
+"""
 
 from __future__ import annotations
 

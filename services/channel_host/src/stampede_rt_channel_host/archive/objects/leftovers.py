@@ -53,7 +53,7 @@ class Leftovers:
 
         An object reports the clean stop of a channel that this host owns, and has not served since its start. The host
         accepted no items of the channel in the present epoch. So the note of the host's former stop is still true if it
-        names the epoch before the present one. Blocks. Raises OSError.
+        names the epoch before the present one. Blocks its thread. Raises OSError.
         """
         found: dict[str, Callable[[], None]] = {}
         for channel_id, epoch in self._owned.items():
@@ -81,7 +81,7 @@ class Leftovers:
         return channel_id in self._taken
 
     def look(self) -> None:
-        """Find the folders. Blocks. Raises OSError."""
+        """Find the folders. Blocks its thread. Raises OSError."""
         for path in self._folder.iterdir() if self._folder.is_dir() else ():
             channel_id = _channel_of(path)
             if channel_id is None:
@@ -92,7 +92,7 @@ class Leftovers:
                 self._found.append(channel_id)
 
     def open_next(self) -> list[MovingFiles]:
-        """Open some of the folders, for their closed files to be moved. Blocks. Raises OSError."""
+        """Open some of the folders, for their closed files to be moved. Blocks its thread. Raises OSError."""
         opened: list[MovingFiles] = []
         while self._found and len(opened) < FOLDERS_PER_STEP:
             channel_id = self._found.pop()
@@ -117,7 +117,7 @@ class Leftovers:
             self._condemned.pop(0)
 
     def _delete_some(self, channel_id: bytes) -> list[str]:
-        """Delete some objects of a channel, and the folder after the last one. Returns the names. Blocks."""
+        """Delete some objects of a channel, and the folder after the last one. Returns the names. Blocks its thread."""
         path = self._folder / channel_id.hex()
         if not (path / _DELETED_FILE).exists():  # with this file, the next process continues the deletion
             path.mkdir(mode=0o700, parents=True, exist_ok=True)

@@ -43,7 +43,7 @@ class ObjectArchive:
     """The part of an archive that is in an object store. `folder`: the open folder of the archive."""
 
     def __init__(self, settings: ObjectSettings, folder: ArchiveFolder, cut: CutRun, now: Callable[[], int]) -> None:
-        """Blocks. Raises OSError."""
+        """Blocks its thread. Raises OSError."""
         self.store = GuardedStore(settings.store)
         self._folder, self._cut = folder, cut
         self._cache = ChunkCache(self.store, folder.path / "cache", settings.cache_bytes_max)

@@ -1,4 +1,6 @@
-"""The segments of one channel that are in an object store. Its other segments are in its folder. Blocks."""
+"""The segments of one channel that are in an object store. Its other segments are in its folder. Calls block
+their thread.
+"""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ class TakerCursor:
     def next_for(self, taker_id: int, queue_items: QueueItems) -> TrackedItem | None:
         """The oldest tracked message that the taker may get, or None if there is none.
 
-        If very many messages have just come back, the result may be another one of these.
+        If more than RETURNS_PER_LOOK_MAX messages have just come back, the result may be a later one of these.
         """
         while True:  # each round looks at other messages that came back
             is_behind = self._look_at_returns(taker_id, queue_items)
@@ -92,7 +92,7 @@ class _Draft:
         self.items += 1
         if self._continues(run, position):
             last = self.slices[-1]
-            last.delivery_ids.append(delivery[0])  # type: ignore[attr-defined]  # lists, here and when it is new
+            last.delivery_ids.append(delivery[0])  # type: ignore[attr-defined]  # slices of a draft have lists
             last.deliveries.append(delivery[1])  # type: ignore[attr-defined]
             self.slices[-1] = last._replace(hi=position + 1)
         else:
