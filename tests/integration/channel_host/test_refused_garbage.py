@@ -1,5 +1,5 @@
-"""A host keeps nothing of a refused request: an error in a reference cycle with its traceback keeps the locals of all
-frames.
+"""A host keeps nothing of a refused request. An error in a reference cycle with its traceback would keep the local
+variables of all frames.
 """
 
 from __future__ import annotations

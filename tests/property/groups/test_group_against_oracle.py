@@ -103,7 +103,7 @@ def tick(rng: RandomSource, scenario: Scenario) -> None:
 
 
 def use_up(rng: RandomSource, scenario: Scenario) -> None:
-    """Consume on a channel with consumers, so that other channels keep the behaviour that they have without groups."""
+    """Consume on a channel. A channel without consumers must refuse the call."""
     consume(rng, scenario.world.pair(rng.pick(CHANNELS)))
 
 

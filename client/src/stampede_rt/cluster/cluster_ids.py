@@ -64,8 +64,7 @@ def wrong_cluster(who: str, own: str, callers: str) -> WrongCluster:
     """
     return WrongCluster(
         f"{who} is of cluster {own}, and the caller of cluster {callers[:_SHOWN_MAX]}; the caller's cluster may still "
-        "serve; if that cluster is permanently lost: start the caller again, and if the caller is a host, remove the "
-        "file cluster-id from its data folder before the start (or restore with `stampede supernode init --restore "
-        "--take-over`)",
+        "serve; if that cluster is permanently lost, start the caller again (if it is a host, first remove the file "
+        "cluster-id from its data folder), or restore with `stampede supernode init --restore --take-over`",
         metadata={"cluster_id": own},
     )

@@ -41,9 +41,10 @@ def none_chosen(source: FileSource) -> str:
 
 
 def check_unpacked(path: str, entry: FileEntry) -> None:
-    """Check that a message is not compressed by itself. Raises FileError.
+    """Check that a message is not compressed. Raises FileError.
 
-    Rosbag2 can compress each message in CDR. Only `metadata.yaml` says so. A message in CDR cannot begin in this way.
+    Rosbag2 can compress each message separately. Only the `metadata.yaml` of the bag says this. No message in CDR
+    begins with the magic number of zstd.
     """
     if entry.topic.encoding == "cdr" and entry.seq is None and entry.data.startswith(_ZSTD_MAGIC):
         raise FileError(

@@ -40,7 +40,7 @@ class NetworkNamespace:
     address: str
 
     def command(self, *words: str) -> list[str]:
-        """Return the command that runs `words` inside. It has the process id of the command itself."""
+        """Return the command that runs `words` inside. Its process becomes that of `words`, with the same id."""
         return ["ip", "netns", "exec", self.name, *words]
 
     def enter(self) -> None:

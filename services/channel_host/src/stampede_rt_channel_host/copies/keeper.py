@@ -117,7 +117,7 @@ class CopyKeeper:
         self._start(record, state)
 
     async def report_forever(self) -> NoReturn:
-        """Report the loads of copies and of the channels with copies every REPORT_SECONDS."""
+        """Report the loads of the copies every REPORT_SECONDS."""
         while True:  # paced by the sleep
             await asyncio.sleep(REPORT_SECONDS)
             if loads := [*self._loads()]:

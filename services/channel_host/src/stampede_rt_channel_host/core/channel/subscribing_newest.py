@@ -23,7 +23,7 @@ class NewestCursor:
     def __init__(self, low: ItemKey, base_seq: int, losses: LostPlaces = (), before: int = 0) -> None:
         self._low = low  # only items at or above this key belong to the subscription
         self._base_seq = base_seq  # all items from this seq on belong to the subscription
-        self._before = before  # the items with lower seqs that belong to it
+        self._before = before  # the number of items with lower seqs that belong to it
         self.losses = losses  # the losses that the reader does not know yet
         self.delivered = 0
         self.skipped = 0

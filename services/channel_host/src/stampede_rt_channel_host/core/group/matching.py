@@ -116,7 +116,7 @@ class Matcher:
         self, has_passed: Callable[[bytes, int], bool], now: int, items_max: int, credit_bytes: int = CREDIT_UNLIMITED,
         looks_max: int = LOOKS_UNLIMITED,
     ) -> list[FoundMatch]:  # fmt: skip
-        """Take the next decided matches, at most `items_max`. Each match needs some credit that is left before it.
+        """Take the next decided matches, at most `items_max`. Takes no match when the credit is used up.
 
         Searches a member's nearest item about `looks_max` times. If the searches for an item are not finished then, the
         next call continues them. `has_passed(member, instant)` returns True if the member can get no more items up to
