@@ -37,7 +37,7 @@ class AllServices(
     directory_service_pb2_grpc.DirectoryServiceServicer,
     gatekeeper_service_pb2_grpc.GatekeeperServiceServicer,
 ):
-    """A front-end, a supernode and a host in one. It fails each update some times, and notes ids and ages."""
+    """A front-end, a supernode and a host in one. It refuses the first FAILURES updates, and notes ids and ages."""
 
     address = ""
 

@@ -142,7 +142,7 @@ async def until_put_streams(rt: Any) -> Any:
 
 
 async def lose(response: Any) -> None:
-    """Break a stream, and lose the answers on it."""
+    """Lose an answer on a stream."""
 
 
 def are_under_way(rt: Any) -> bool:
