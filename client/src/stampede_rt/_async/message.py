@@ -187,7 +187,7 @@ class Message(BoundToProcess):
         await self._settle(queue_pb2.Settlement(terminate=queue_pb2.Terminate(reason=parse_reason(reason))))
 
     async def extend(self, lease: DurationLike = "30s") -> None:
-        """Let the lease end `lease` from now. `lease` is at most one hour. Blocks for at most 10 s.
+        """Let the lease last for the time `lease` from now on, at most one hour. Blocks for at most 10 s.
 
         Raises LeaseExpired, Unavailable, InvalidArgument.
         """

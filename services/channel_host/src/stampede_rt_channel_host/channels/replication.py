@@ -110,7 +110,7 @@ class Replication(OwnedReplicas[ReplicaFeed]):
         self.since_epoch = epoch
 
     def filling(self) -> Pieces[None]:
-        """Add the items that the channel has from before, in pieces."""
+        """Add the items that the channel already has, in pieces."""
         if self._view is not None:
             yield from self._view.filling(self._now())
         self.is_filled = True

@@ -60,7 +60,7 @@ class CopiedGroup:
         return Horizon(None if at == NOTHING_VISIBLE else at, self.held_by)
 
     def held_by(self) -> str:
-        """Returns the part that holds the cut back, as a phrase for error texts."""
+        """Returns a phrase for error texts, which says how long the cut is held back."""
         return "until the owner of the channel has told its copy a later cut"
 
     def check_incarnation(self, incarnation: int) -> None:
