@@ -248,7 +248,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=3.0, help="the length of each part of a round (default: 3)")
     arguments = parser.parse_args()
     table = Table(
-        ["put", "one stalled", "host CPU for each reader and put, us", "age p50, ms", "p99, ms", "most grown, MiB"]
+        ["put", "one stalled", "host CPU for a reader and put, us", "age p50, ms", "p99, ms", "most grown, MiB"]
     )
     with LocalCluster(hosts=1, supernodes=1, durable=False) as cluster, secret_found(cluster):
         for workload in WORKLOADS:

@@ -1,4 +1,6 @@
-"""Forked children: every entry point refuses an inherited connection immediately. A new connection works."""
+"""Forked children: every entry point refuses an inherited connection immediately. A child can connect only if its
+parent never connected.
+"""
 
 from __future__ import annotations
 

@@ -24,9 +24,9 @@ READS_MAX = 8
 class Health:
     """The health service for load balancers and supervisors.
 
-    Any other name than LIVENESS means READINESS, and so does a missing name. `Check` is open to all callers, so it
-    reads few requests at a time, and for a short time. A caller that sends no request in time, or that must make room
-    for newer callers, gets the answer for READINESS.
+    For `Check` any other name than LIVENESS means READINESS, and so does a missing name. `Check` is open to all
+    callers, so it reads few requests at a time, and for a short time. A caller that sends no request in time, or that
+    must make room for newer callers, gets the answer for READINESS.
     """
 
     def __init__(self) -> None:

@@ -88,7 +88,7 @@ def check(
     """Check that each read that lacks some of the items says LOST.
 
     `knows_times`: the archive knows the times of the lost items, so no other read says LOST. Otherwise all other reads
-    say LOST, too: the limits of the channel would still let the lost items come at all these times.
+    say LOST, too: a lost item may have any of these times, because the limits of the channel would keep such an item.
     """
     for start in range(1, last + 1):
         for end in range(start, last + 1):
@@ -165,7 +165,7 @@ def test_items_that_max_bytes_collected_after_all_archived_ones_are_a_loss(tmp_p
                 continue  # such a read does not ask the archive
             found, reason = read(files, segments, start, end, channel)
             assert found == [one for one in range(start, end + 1) if one in (1, 2, 7, 8)]
-            assert reason == "LOST", (start, end)  # max_items would still let lost items come late, before all others
+            assert reason == "LOST", (start, end)  # a lost item may have any time: max_items would keep it
 
 
 def test_a_loss_stays_if_the_next_host_has_written_nothing_else(tmp_path: Path) -> None:

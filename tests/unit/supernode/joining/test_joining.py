@@ -176,7 +176,8 @@ async def test_a_founder_that_lost_its_disk_is_refused_and_acknowledged_commands
             await one.end(signal.SIGKILL)
         for file in (tmp_path / wiped.name).iterdir():
             file.unlink()
-        # The two that lack the channel are a majority: with the old id back, they would lead without it.
+        # The two supernodes without the channel are a majority. If the others accepted the wiped one under its old id,
+        # a supernode without the channel could lead.
         await away.start()
         await wiped.start()
         # A refusal by one member only delays the join. Refusals by most other members end the process.

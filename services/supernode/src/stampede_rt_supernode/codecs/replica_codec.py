@@ -1,4 +1,4 @@
-"""Converts copies of channels from and to their messages. Makes no decisions."""
+"""Converts copies of channels and queues from and to their messages. Makes no decisions."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def replica_from(record: replica_pb2.ReplicaRecord) -> ReplicaRecord:
 
 
 def load_message(load: ReplicaLoad) -> replica_pb2.ReplicaLoad:
-    """The message of the load of a host by a channel."""
+    """The message of the load that a copy of a channel causes at its host."""
     return replica_pb2.ReplicaLoad(
         subject=subject_of(load.channel_id),
         host_id=load.host_id,

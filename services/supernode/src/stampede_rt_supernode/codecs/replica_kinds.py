@@ -1,4 +1,4 @@
-"""Converts commands about copies of channels, and their results, from and to messages of the log."""
+"""Converts commands about copies of channels and queues, and their results, from and to messages of the log."""
 
 from __future__ import annotations
 
