@@ -345,7 +345,7 @@ def send(address: str, data: bytes, context: ssl.SSLContext | None) -> None:
 
 
 async def send_as_messages(address: str, files: st.TlsFiles, data: bytes) -> None:
-    """The same bytes as the messages of every RPC, whether the member may call it or not."""
+    """Send the bytes as messages of three RPCs and of an unknown one, whether the member may call them or not."""
     async with dial(address, secret=None, tls=TlsReader(files)) as channel:
         for method in ("RaftService/Exchange", "DirectoryService/RegisterHost", "FrontendService/Bind", "No/Such"):
             call: Any = channel.stream_stream(f"/stampede_rt.v1.{method}")(iter([data]), timeout=3)
