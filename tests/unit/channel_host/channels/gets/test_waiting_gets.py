@@ -137,7 +137,8 @@ async def test_a_put_does_not_look_at_gets_for_future_items() -> None:
     blocked.put()
     assert blocked.channel.polls == 0
     blocked.put(START + 3 * S + 1)
-    # get 0: the span of the first item goes on until the second; get 1: its interval has ended; get 2: the second item
+    # Get 0 gets the first item, whose span lasts until the second one. The interval of get 1 has ended.
+    # Get 2 gets the second item.
     assert blocked.released == [0, 1, 2]
     assert blocked.channel.polls == 3
     run_to_end(blocked.gets.ending(Unavailable("gone")))
@@ -214,7 +215,7 @@ async def test_an_item_whose_span_ends_in_the_future_releases_the_gets_within_th
 
 
 def kept_gets() -> int:
-    """The number of waiting gets and their reads that the memory of this process has."""
+    """Return how many waiting gets and pending gets this process still holds. Other tests may have left some."""
     gc.collect()
     return sum(isinstance(one, WaitingGet | PendingGet) for one in gc.get_objects())
 
@@ -230,7 +231,7 @@ async def test_cancelled_gets_are_removed_from_the_list_of_waiting_gets() -> Non
         get.cancel()
     assert len(blocked.gets) == timers() - before == 0
     del get, gets
-    assert kept_gets() == kept_before, "other tests of this process may have left some"
+    assert kept_gets() == kept_before, "the cancelled gets are freed"
     blocked.put(START + 2 * S)
     assert blocked.released == []
 
