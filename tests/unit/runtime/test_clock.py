@@ -1,4 +1,4 @@
-"""The clock of the system."""
+"""The clock of the system, and the clock that tests set by hand."""
 
 from __future__ import annotations
 
