@@ -57,7 +57,7 @@ class Model:
         self.owner.know(listed, self.clock)
 
     def apply(self, change: ReplicaChange) -> bool:
-        """Apply the change to the log, unless it comes too late. Returns whether the owner learns of it."""
+        """Apply the change to the log, unless it comes too late. Returns True if the log has it now."""
         host = self.hosts[change.host_id]
         if not host.is_listed or host.boot != change.boot_incarnation or change.number < host.last_change:
             return False

@@ -30,7 +30,7 @@ logger = logging.getLogger(__name__)
 # The shortest time between two rounds of new hellos to the others. Without this pause one refusing member could make
 # this member restart its streams all the time.
 ASK_OTHERS_SECONDS = 5.0
-# The beginnings of the log's sentence about an unconfirmed refusal. The sentence ends with "once ...".
+# Two beginnings of a sentence in the warning about an unconfirmed refusal. The sentence goes on with "once ...".
 OUTDATED_FOLLOWS = "This member goes on, but ends"
 REFUSED_FOLLOWS = "This member goes on as a follower without a vote, but ends"
 # The leader queues more entries and pieces of a snapshot on a link only while fewer bytes than this wait there.
@@ -139,7 +139,7 @@ class PeerLinks:
     def _count(self, refusals: Refusals, member_id: str, why: str, what_follows: str) -> bool:
         """Note in `refusals` that a member refuses this member. Returns True if this call has confirmed a refusal.
 
-        `what_follows`: the beginning of a sentence for the log, such as OUTDATED_FOLLOWS.
+        `what_follows`: the beginning of a sentence in the warning, such as OUTDATED_FOLLOWS.
         """
         is_new, was_confirmed = member_id not in refusals.by, refusals.confirmed is not None
         others, leader_id = self.others_and_leader()
