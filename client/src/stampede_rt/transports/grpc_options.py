@@ -21,8 +21,8 @@ CHANNEL_OPTIONS: tuple[tuple[str, int | str], ...] = (
     ("grpc.max_receive_message_length", MESSAGE_BYTES_MAX),
     ("grpc.max_metadata_size", 16 * 1024),
     # The client notices a stopped host by its silence. It does so before a call gives up (10 s), but not before the
-    # directory may give the host's channels to another owner (5 s). With grpcio 1.85 only the timeout of the ping ends
-    # the connection (a minute if unset). Without it keepalive_timeout has no effect.
+    # directory may give the host's channels to another owner (5 s). With grpcio 1.85 only ping_timeout ends the
+    # connection. Its default is a minute, and a shorter keepalive_timeout does not change that.
     ("grpc.keepalive_time_ms", 5_000),
     ("grpc.keepalive_timeout_ms", 2_500),
     ("grpc.http2.ping_timeout_ms", 2_500),
