@@ -7,7 +7,7 @@ BACKLOG_ENTRIES_MAX = 512
 a late item might have to free too many entries in one call, and to copy them for the reads that still show them.
 """
 READS_RETRY_NANOS = 100 * 10**6
-"""While long reads keep BACKLOG_ENTRIES_MAX entries, consumption checks them again after this time."""
+"""If long reads still need BACKLOG_ENTRIES_MAX outdated entries, consumption tries to collect again after this time."""
 SLICES_AGED_MAX = 256
 """The most slices that one call checks for items that a consumer has still to consume. Only `max_age_unconsumed` needs
 this check.
