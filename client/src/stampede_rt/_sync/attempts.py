@@ -59,8 +59,9 @@ def attempt(locator: Locator, operation: Callable[[Binding, float], Result], tim
     binding and the seconds that it may take. If the caller has too many open streams for its quota, `attempt` begins no
     try after OPEN_STREAMS_S: often only the caller itself can close a stream.
     Raises the error of the last try. If that try had too little time, and an earlier try has also failed, raises the
-    error of the earlier try, because it says more. A try had too little time if its error is DeadlineExceeded, or if a
-    supernode found no majority, or did not learn the result of an update, in a call of less than a second.
+    error of the earlier try, because it says more. A try had too little time if it failed with DeadlineExceeded. In a
+    call of less than a second, a supernode may also have found no majority, or not have learned the result of an
+    update.
     """
     locator.check()
     deadline_s = time.monotonic() + timeout_s

@@ -158,7 +158,7 @@ class ChannelRecording:
         return self.tallies[-1]
 
     def _look(self, begin: Bound) -> tuple[Bound, list[RecordingGap]]:
-        """Return the instant at which the recording begins, and a gap if the channel no longer holds it all."""
+        """Return the instant at which the recording begins, and a gap if the channel lacks items since this instant."""
         found = self._found_from(begin)
         if found.interval is None:
             return OLDEST, []
@@ -195,7 +195,7 @@ class ChannelRecording:
     def _lost_gap(self, found: Items) -> RecordingGap:
         """Return the gap for all losses in the interval of an answer with the reason LOST.
 
-        The gap ends at the latest loss. It begins with the interval: such an answer does not speak of earlier losses.
+        The gap ends at the latest loss. It begins with the interval, because such an answer does not name each loss.
         """
         within, incarnation, details = found.interval, found.incarnation, []
         bounds = {} if within is None else {"start": within.start, "end": within.end}

@@ -106,10 +106,10 @@ class Files(Moves):
         items with recorded times from `start` on and before `end`. `loop`: play again and again, until `stop`.
 
         `shift`: "now" moves all times by the same amount, so that the items come as if they were new. Durations and
-        distances stay, so at a speed above 1 the time of the first item is in the past, by as much as the replay is
-        shorter than the recording. A duration such as "-1h" moves all times by this duration; None keeps the recorded
-        times. If a channel does not exist, the replay creates it with its recorded policy, but without a shift it gets
-        no max_age.
+        distances stay. At a speed above 1 the replay is shorter than the recording, and the time of the first item is
+        in the past by the difference. A duration such as "-1h" moves all times by this duration; None keeps the
+        recorded times. If a channel does not exist, the replay creates it with its recorded policy, but without a
+        shift it gets no max_age.
 
         The call returns when all channels are open; with asyncio, the handle for that. Raises InvalidArgument,
         before the first item, if a channel would refuse the items; FileError.

@@ -116,7 +116,7 @@ class Message(BoundToProcess):
       type.
     - `seq` is the message's number in the queue, within one `incarnation` of the queue.
     - `time` is the message's time, in nanoseconds since the epoch: by default the time at which the queue accepted it.
-    - `deliveries` counts the deliveries of this message, from 1.
+    - `deliveries` counts the deliveries of this message, from 1. In a queue with `copies` it counts those of this copy.
     - `lease_s` is the length of the lease in seconds at the delivery. `extend` does not change it.
     - `origin` says which queue a dead letter left, and why. It is None for other messages.
     """
@@ -188,7 +188,7 @@ class Message(BoundToProcess):
         self._settle(queue_pb2.Settlement(terminate=queue_pb2.Terminate(reason=parse_reason(reason))))
 
     def extend(self, lease: DurationLike = "30s") -> None:
-        """Let the lease end `lease` from now. `lease` is at most one hour. Blocks for at most 10 s.
+        """Let the lease last for the time `lease` from now on, at most one hour. Blocks for at most 10 s.
 
         Raises LeaseExpired, Unavailable, InvalidArgument.
         """

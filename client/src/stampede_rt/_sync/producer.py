@@ -53,7 +53,7 @@ class Producer(BoundToProcess):
         self._builder = RunBuilder()
         self._unacked = UnackedRuns()
         self._steps = Steps()  # guards the builder and the order of writes; the threads that bring acks do not wait
-        # Each with its stream's generation.
+        # The acks and the ends of streams that no step has noted yet, each with the generation of its stream.
         self._outcomes: deque[tuple[int, channel_pb.PutAck | StampedeError]] = deque()
         self._interrupting_bytes = 0  # the bytes of items that signal handlers put while they interrupted other puts
         self._changed = Signal()  # is set when an ack has come, or when the stream has ended

@@ -29,7 +29,7 @@ class PutStream:
     """One open stream to a host.
 
     `puts` is the number of puts under way on the stream, and `ends_s` the time at which the last of them gives up. Each
-    put names its channel or queue, so all of them at the host `target` can use the stream.
+    put names its channel or queue, so puts to all channels and queues of the host `target` can use the stream.
     """
 
     __slots__ = ("ends_s", "exchange", "puts", "target")

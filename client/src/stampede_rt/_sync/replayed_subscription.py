@@ -136,7 +136,7 @@ class WaitingSource(PastSource, Protocol):
     """A channel whose reads may wait for the virtual clock."""
 
     def read_waiting(self, query: ReadQuery) -> Items:
-        """Return the answer, which may wait. Raises DeadlineExceeded if the replay ends before."""
+        """Return the answer. May wait for the clock. Raises DeadlineExceeded if the replay ends before the answer."""
 
 
 class ReplayedNewest(ReplayedSteps):

@@ -131,7 +131,7 @@ class ReplayedVisible(ReplayedSteps):
         return True
 
     def _take_late(self, items: list[Item]) -> None:
-        """Fetch items that came before the cut."""
+        """Fetch late items, with times before the cut."""
         for one in items:
             query = ReadQuery(parse_interval(one.time, one.time), match=Match.START, payloads=self._payloads)
             found = self._own.read_as_of(query, self._at)

@@ -53,8 +53,8 @@ class Sampler(BackgroundStart, BoundToProcess):
 
     `samples` counts the items put; a result None is not put. `missed` counts periods that passed while the function or
     a put took too long. `failures` counts calls and puts that raised; `last_failure` is the last exception. The sampler
-    continues after an exception. Only ChannelNotFound ends the sampler, when the channel is deleted. `error` is then
-    this error; it is None while the sampler runs and after `cancel`.
+    continues after an exception, except in two cases: it ends when the channel is deleted (ChannelNotFound), and when
+    the function raises SystemExit. `error` is then the reason; it is None while the sampler runs and after `cancel`.
     """
 
     def __init__(

@@ -184,8 +184,10 @@ class Subscription(BoundToProcess):
             self._receive()
 
     def _took_all(self, last_bytes: int) -> None:
-        """Note in the credit window that the program has taken all ready items, of which the last step took
-        `last_bytes`."""
+        """Note in the credit window that the program has taken all ready items.
+
+        `last_bytes`: the credit of the items that the last step took.
+        """
         if self._follower is None:
             self._window.take_all(self._ready_bytes, last_bytes, monotonic_s())
             self._ready_bytes = 0

@@ -37,10 +37,10 @@ class DirectoryServiceStub(object):
 
     Every call of this service, and of all other services of supernodes and hosts, may name its caller's cluster
     (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses the call
-    (WRONG_CLUSTER). A server that does not know its own cluster yet answers NO_QUORUM. Only Ping answers all callers. A
-    call that names no cluster is served. An id that begins with "memory-" belongs to a cluster that ends with its
-    processes. A server of another cluster serves a caller that names such an id, if the id of the server's cluster
-    begins with "memory-", too.
+    (WRONG_CLUSTER), unless its cluster has replaced the cluster that the call names. A server that does not know its own
+    cluster yet answers NO_QUORUM. Only Ping answers all callers. A call that names no cluster is served. An id that
+    begins with "memory-" belongs to a cluster that ends with its processes. If the ids of both clusters begin with
+    "memory-", the call is served.
 
     AMBIGUOUS: the supernode does not know whether the update was performed. Repeat the request with the same id.
     OVERLOADED: the directory cannot remember more answers at present, or no more answers to this caller, and did not
@@ -132,10 +132,10 @@ class DirectoryServiceServicer(object):
 
     Every call of this service, and of all other services of supernodes and hosts, may name its caller's cluster
     (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses the call
-    (WRONG_CLUSTER). A server that does not know its own cluster yet answers NO_QUORUM. Only Ping answers all callers. A
-    call that names no cluster is served. An id that begins with "memory-" belongs to a cluster that ends with its
-    processes. A server of another cluster serves a caller that names such an id, if the id of the server's cluster
-    begins with "memory-", too.
+    (WRONG_CLUSTER), unless its cluster has replaced the cluster that the call names. A server that does not know its own
+    cluster yet answers NO_QUORUM. Only Ping answers all callers. A call that names no cluster is served. An id that
+    begins with "memory-" belongs to a cluster that ends with its processes. If the ids of both clusters begin with
+    "memory-", the call is served.
 
     AMBIGUOUS: the supernode does not know whether the update was performed. Repeat the request with the same id.
     OVERLOADED: the directory cannot remember more answers at present, or no more answers to this caller, and did not
@@ -208,8 +208,8 @@ class DirectoryServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def DeregisterHost(self, request, context):
-        """Deregister a host. A channel with a warm replica in sync gets that replica's host as its owner. The other channels
-        and the queues have no live owner from then on. Mailboxes get another owner.
+        """Deregister a host. A channel or queue with a warm replica in sync gets that replica's host as its owner. The host's
+        other mailboxes move to other hosts. Its other channels and queues have no live owner from then on.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -332,10 +332,10 @@ class DirectoryService(object):
 
     Every call of this service, and of all other services of supernodes and hosts, may name its caller's cluster
     (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses the call
-    (WRONG_CLUSTER). A server that does not know its own cluster yet answers NO_QUORUM. Only Ping answers all callers. A
-    call that names no cluster is served. An id that begins with "memory-" belongs to a cluster that ends with its
-    processes. A server of another cluster serves a caller that names such an id, if the id of the server's cluster
-    begins with "memory-", too.
+    (WRONG_CLUSTER), unless its cluster has replaced the cluster that the call names. A server that does not know its own
+    cluster yet answers NO_QUORUM. Only Ping answers all callers. A call that names no cluster is served. An id that
+    begins with "memory-" belongs to a cluster that ends with its processes. If the ids of both clusters begin with
+    "memory-", the call is served.
 
     AMBIGUOUS: the supernode does not know whether the update was performed. Repeat the request with the same id.
     OVERLOADED: the directory cannot remember more answers at present, or no more answers to this caller, and did not

@@ -38,10 +38,10 @@ class DirectoryServiceStub:
 
     Every call of this service, and of all other services of supernodes and hosts, may name its caller's cluster
     (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses the call
-    (WRONG_CLUSTER). A server that does not know its own cluster yet answers NO_QUORUM. Only Ping answers all callers. A
-    call that names no cluster is served. An id that begins with "memory-" belongs to a cluster that ends with its
-    processes. A server of another cluster serves a caller that names such an id, if the id of the server's cluster
-    begins with "memory-", too.
+    (WRONG_CLUSTER), unless its cluster has replaced the cluster that the call names. A server that does not know its own
+    cluster yet answers NO_QUORUM. Only Ping answers all callers. A call that names no cluster is served. An id that
+    begins with "memory-" belongs to a cluster that ends with its processes. If the ids of both clusters begin with
+    "memory-", the call is served.
 
     AMBIGUOUS: the supernode does not know whether the update was performed. Repeat the request with the same id.
     OVERLOADED: the directory cannot remember more answers at present, or no more answers to this caller, and did not
@@ -82,8 +82,8 @@ class DirectoryServiceStub:
     LEASE_EXPIRED the host must register again.
     """
     DeregisterHost: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.DeregisterHostRequest, _directory_service_pb2.DeregisterHostResponse]
-    """Deregister a host. A channel with a warm replica in sync gets that replica's host as its owner. The other channels
-    and the queues have no live owner from then on. Mailboxes get another owner.
+    """Deregister a host. A channel or queue with a warm replica in sync gets that replica's host as its owner. The host's
+    other mailboxes move to other hosts. Its other channels and queues have no live owner from then on.
     """
     ResolveHost: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.ResolveHostRequest, _directory_service_pb2.ResolveHostResponse]
     """Find a host by id or name. By name, only a live host is found."""
@@ -109,10 +109,10 @@ class DirectoryServiceAsyncStub(DirectoryServiceStub):
 
     Every call of this service, and of all other services of supernodes and hosts, may name its caller's cluster
     (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses the call
-    (WRONG_CLUSTER). A server that does not know its own cluster yet answers NO_QUORUM. Only Ping answers all callers. A
-    call that names no cluster is served. An id that begins with "memory-" belongs to a cluster that ends with its
-    processes. A server of another cluster serves a caller that names such an id, if the id of the server's cluster
-    begins with "memory-", too.
+    (WRONG_CLUSTER), unless its cluster has replaced the cluster that the call names. A server that does not know its own
+    cluster yet answers NO_QUORUM. Only Ping answers all callers. A call that names no cluster is served. An id that
+    begins with "memory-" belongs to a cluster that ends with its processes. If the ids of both clusters begin with
+    "memory-", the call is served.
 
     AMBIGUOUS: the supernode does not know whether the update was performed. Repeat the request with the same id.
     OVERLOADED: the directory cannot remember more answers at present, or no more answers to this caller, and did not
@@ -150,8 +150,8 @@ class DirectoryServiceAsyncStub(DirectoryServiceStub):
     LEASE_EXPIRED the host must register again.
     """
     DeregisterHost: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.DeregisterHostRequest, _directory_service_pb2.DeregisterHostResponse]  # type: ignore[assignment]
-    """Deregister a host. A channel with a warm replica in sync gets that replica's host as its owner. The other channels
-    and the queues have no live owner from then on. Mailboxes get another owner.
+    """Deregister a host. A channel or queue with a warm replica in sync gets that replica's host as its owner. The host's
+    other mailboxes move to other hosts. Its other channels and queues have no live owner from then on.
     """
     ResolveHost: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.ResolveHostRequest, _directory_service_pb2.ResolveHostResponse]  # type: ignore[assignment]
     """Find a host by id or name. By name, only a live host is found."""
@@ -176,10 +176,10 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
 
     Every call of this service, and of all other services of supernodes and hosts, may name its caller's cluster
     (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses the call
-    (WRONG_CLUSTER). A server that does not know its own cluster yet answers NO_QUORUM. Only Ping answers all callers. A
-    call that names no cluster is served. An id that begins with "memory-" belongs to a cluster that ends with its
-    processes. A server of another cluster serves a caller that names such an id, if the id of the server's cluster
-    begins with "memory-", too.
+    (WRONG_CLUSTER), unless its cluster has replaced the cluster that the call names. A server that does not know its own
+    cluster yet answers NO_QUORUM. Only Ping answers all callers. A call that names no cluster is served. An id that
+    begins with "memory-" belongs to a cluster that ends with its processes. If the ids of both clusters begin with
+    "memory-", the call is served.
 
     AMBIGUOUS: the supernode does not know whether the update was performed. Repeat the request with the same id.
     OVERLOADED: the directory cannot remember more answers at present, or no more answers to this caller, and did not
@@ -269,8 +269,8 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _directory_service_pb2.DeregisterHostRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_directory_service_pb2.DeregisterHostResponse, _abc.Awaitable[_directory_service_pb2.DeregisterHostResponse]]:
-        """Deregister a host. A channel with a warm replica in sync gets that replica's host as its owner. The other channels
-        and the queues have no live owner from then on. Mailboxes get another owner.
+        """Deregister a host. A channel or queue with a warm replica in sync gets that replica's host as its owner. The host's
+        other mailboxes move to other hosts. Its other channels and queues have no live owner from then on.
         """
 
     @_abc_1.abstractmethod

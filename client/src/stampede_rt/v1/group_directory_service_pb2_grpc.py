@@ -94,8 +94,8 @@ class GroupDirectoryServiceServicer(object):
 
     def UpdateGroup(self, request, context):
         """Add and remove members. The cut stays, unless no owner of a remaining member knows it; then the group gets a new
-        incarnation. Readers can read the items of a new member before the cut immediately. Idempotent by request id.
-        Errors: GROUP_NOT_FOUND, GROUP_EXISTS (another spec_version), CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the request
+        incarnation. Readers can immediately read the items of a new member that are before the cut. Idempotent by request
+        id. Errors: GROUP_NOT_FOUND, GROUP_EXISTS (another spec_version), CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the request
         removes the reference or the last member; more than 64 members).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)

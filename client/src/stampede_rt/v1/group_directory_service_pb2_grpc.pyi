@@ -48,8 +48,8 @@ class GroupDirectoryServiceStub:
     """Find a group by id or name, with its members and their owners. Changes nothing. Errors: GROUP_NOT_FOUND."""
     UpdateGroup: _grpc.UnaryUnaryMultiCallable[_group_directory_service_pb2.UpdateGroupRequest, _group_directory_service_pb2.UpdateGroupResponse]
     """Add and remove members. The cut stays, unless no owner of a remaining member knows it; then the group gets a new
-    incarnation. Readers can read the items of a new member before the cut immediately. Idempotent by request id.
-    Errors: GROUP_NOT_FOUND, GROUP_EXISTS (another spec_version), CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the request
+    incarnation. Readers can immediately read the items of a new member that are before the cut. Idempotent by request
+    id. Errors: GROUP_NOT_FOUND, GROUP_EXISTS (another spec_version), CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the request
     removes the reference or the last member; more than 64 members).
     """
     DeleteGroup: _grpc.UnaryUnaryMultiCallable[_group_directory_service_pb2.DeleteGroupRequest, _group_directory_service_pb2.DeleteGroupResponse]
@@ -79,8 +79,8 @@ class GroupDirectoryServiceAsyncStub(GroupDirectoryServiceStub):
     """Find a group by id or name, with its members and their owners. Changes nothing. Errors: GROUP_NOT_FOUND."""
     UpdateGroup: _aio.UnaryUnaryMultiCallable[_group_directory_service_pb2.UpdateGroupRequest, _group_directory_service_pb2.UpdateGroupResponse]  # type: ignore[assignment]
     """Add and remove members. The cut stays, unless no owner of a remaining member knows it; then the group gets a new
-    incarnation. Readers can read the items of a new member before the cut immediately. Idempotent by request id.
-    Errors: GROUP_NOT_FOUND, GROUP_EXISTS (another spec_version), CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the request
+    incarnation. Readers can immediately read the items of a new member that are before the cut. Idempotent by request
+    id. Errors: GROUP_NOT_FOUND, GROUP_EXISTS (another spec_version), CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the request
     removes the reference or the last member; more than 64 members).
     """
     DeleteGroup: _aio.UnaryUnaryMultiCallable[_group_directory_service_pb2.DeleteGroupRequest, _group_directory_service_pb2.DeleteGroupResponse]  # type: ignore[assignment]
@@ -125,8 +125,8 @@ class GroupDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_group_directory_service_pb2.UpdateGroupResponse, _abc.Awaitable[_group_directory_service_pb2.UpdateGroupResponse]]:
         """Add and remove members. The cut stays, unless no owner of a remaining member knows it; then the group gets a new
-        incarnation. Readers can read the items of a new member before the cut immediately. Idempotent by request id.
-        Errors: GROUP_NOT_FOUND, GROUP_EXISTS (another spec_version), CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the request
+        incarnation. Readers can immediately read the items of a new member that are before the cut. Idempotent by request
+        id. Errors: GROUP_NOT_FOUND, GROUP_EXISTS (another spec_version), CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the request
         removes the reference or the last member; more than 64 members).
         """
 

@@ -47,8 +47,8 @@ class MigrationServiceStub:
     """Make this host the owner of a channel, a queue or a mailbox. Call AllowMove at the present owner first. The called
     host answers when it is the owner and acknowledges puts. If it is the owner already, it answers immediately. A
     caller needs the right to configure the channel or queue. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, MOVE_CONFLICT
-    (another move of the channel is under way), OVERLOADED (32 moves of channels, or 8 of queues, to or from one host
-    are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has ended the move), AMBIGUOUS,
+    (another move of the channel is under way), OVERLOADED (128 moves of channels, or 8 of queues, to or from one
+    host are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has ended the move), AMBIGUOUS,
     UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
     """
     MoveEachHere: _grpc.StreamStreamMultiCallable[_migration_service_pb2.MoveEachHereRequest, _migration_service_pb2.MoveEachHereResponse]
@@ -95,8 +95,8 @@ class MigrationServiceAsyncStub(MigrationServiceStub):
     """Make this host the owner of a channel, a queue or a mailbox. Call AllowMove at the present owner first. The called
     host answers when it is the owner and acknowledges puts. If it is the owner already, it answers immediately. A
     caller needs the right to configure the channel or queue. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, MOVE_CONFLICT
-    (another move of the channel is under way), OVERLOADED (32 moves of channels, or 8 of queues, to or from one host
-    are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has ended the move), AMBIGUOUS,
+    (another move of the channel is under way), OVERLOADED (128 moves of channels, or 8 of queues, to or from one
+    host are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has ended the move), AMBIGUOUS,
     UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
     """
     MoveEachHere: _aio.StreamStreamMultiCallable[_migration_service_pb2.MoveEachHereRequest, _migration_service_pb2.MoveEachHereResponse]  # type: ignore[assignment]
@@ -152,8 +152,8 @@ class MigrationServiceServicer(metaclass=_abc_1.ABCMeta):
         """Make this host the owner of a channel, a queue or a mailbox. Call AllowMove at the present owner first. The called
         host answers when it is the owner and acknowledges puts. If it is the owner already, it answers immediately. A
         caller needs the right to configure the channel or queue. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, MOVE_CONFLICT
-        (another move of the channel is under way), OVERLOADED (32 moves of channels, or 8 of queues, to or from one host
-        are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has ended the move), AMBIGUOUS,
+        (another move of the channel is under way), OVERLOADED (128 moves of channels, or 8 of queues, to or from one
+        host are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has ended the move), AMBIGUOUS,
         UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
         """
 

@@ -276,7 +276,7 @@ _shtab_stampede_bench_defaults_added=0
 _shtab_stampede_bench_capacity_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "*--work[only this\; may be repeated\; memory, put-64b, put-18kb, put-300kb, stream-64b, stream-18kb, stream-300kb, latency-300]:NAME:(memory put-64b put-18kb put-300kb stream-64b stream-18kb stream-300kb latency-300)"
-  "--items[the items that each run of memory puts one by one\; other things in numbers that take similar memory (default\: 20,000)]:N:"
+  "--items[the items that each run of memory puts one by one\; it makes so many other things that they take similar memory (default\: 20,000)]:N:"
   "--seconds[the time of each run in steady state (default\: 5)]:S:"
   "--rounds[the runs of each workload (default\: 3)]:N:"
   "--out[the folder for the report (default\: out\/bench)]:DIR:"

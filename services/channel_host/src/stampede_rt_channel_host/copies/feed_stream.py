@@ -171,10 +171,8 @@ class FeedStream:
                     self._move.feed_ended()
 
     async def _begin(self, hosted: HostedChannel, opening: pb.FeedOpen) -> ChannelFeed:
-        """The feed at the copy's place. A replica, and the destination of a move, get all accepted items. Other copies
-        get the items that readers see.
-
-        A replica that has to begin anew waits until the directory's log says that it is out of sync.
+        """The feed at the copy's place. Replicas and destinations of moves get all accepted items. Other copies get the
+        items that readers see. A replica that begins anew waits until the directory's log says that it is not in sync.
         """
         place = place_of(opening.place, hosted.epoch) if opening.HasField("place") else None
         if not opening.owner_facts:

@@ -329,9 +329,8 @@ class Retention:
         """The instant at which the passing of time next makes room for an item at `time`.
 
         `own_end` is the item's time plus its duration, or None. The method finds the next collection twice: as if the
-        channel had the item, and without it. It returns the earlier instant. Without the item the collection may be
-        earlier if the item would belong to the oldest bucket. Returns None if only another put or a consumption makes
-        room.
+        channel had the item, and without it. It returns the earlier instant. The second collection may be earlier if
+        the item would belong to the oldest bucket. Returns None if only another put or a consumption makes room.
         """
         instants = (self._due_as_if_put(time, own_end), self.next_due())
         return min((one for one in instants if one is not None), default=None)
