@@ -123,6 +123,22 @@ def test_get_by_time_and_meta_time(stampede: Run) -> None:
     assert stampede("get", "cli/times", "--all", "--raw").stdout == "012"
 
 
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["0", "1", "--at", "newest"], "give two times or one of --last, --at, --before, --all, not both"),
+        (["0", "1", "--before", "newest"], "give two times or one of --last, --at, --before, --all, not both"),
+        (["0", "1", "--all"], "give two times or one of --last, --at, --before, --all, not both"),
+        (["--at", "newest", "--match", "span"], "--match has no effect with --at"),
+        (["--at", "newest", "--newest-first"], "--newest-first has no effect with --at"),
+        (["--at", "newest", "--limit", "1"], "--limit has no effect with --at"),
+        (["--before", "newest", "--bounds", "[]"], "--bounds has no effect with --before"),
+    ],
+)
+def test_get_refuses_options_that_would_have_no_effect(stampede: Run, arguments: list[str], sentence: str) -> None:
+    assert sentence in stampede("get", "cli/times", *arguments, status=2).stderr
+
+
 @pytest.fixture(scope="module")
 def thinned(cluster: LocalCluster, environment: dict[str, str]) -> tuple[str, int]:
     """A channel that got four short items, a second apart, and keeps two. Also the time of the first of the four."""

@@ -30,6 +30,9 @@ from stampede_rt.values.timeline import MIN_INSTANT, NEWEST, OLDEST, last
 if TYPE_CHECKING:
     from stampede_rt import Channel
 
+# by option: the options that would have no effect with it
+_WITHOUT_EFFECT = {"at": ("bounds", "match", "limit", "newest_first", "complete"), "before": ("bounds", "match")}
+
 
 def add_verbs(subparsers: Any) -> None:
     """Add the verbs of this module."""
@@ -67,14 +70,12 @@ def _add_get(subparsers: Any) -> None:
     get.add_argument(
         "--bounds",
         choices=("[]", "[)", "(]", "()"),
-        default="[]",
         metavar="BOUNDS",  # `argparse` would drop the brackets in a list of choices
         help='the bounds that belong to the interval: "[]" (default), "[)", "(]", "()"',
     )
     get.add_argument(
         "--match",
         choices=("span", "whole", "start"),
-        default="span",
         help="items whose span shares an instant with the interval (default), is in it, or starts in it",
     )
     get.add_argument("--limit", type=parse_count, metavar="N", help="print at most N items")
@@ -111,6 +112,7 @@ def _add_which(get: argparse.ArgumentParser) -> None:
 
 def run_get(arguments: argparse.Namespace) -> int:
     """Get items and print them, or say why there are none."""
+    _check_options(arguments)
     with connected(arguments) as rt:
         items, reason = _get(existing(rt, arguments.channel), arguments)
     if arguments.raw:
@@ -123,6 +125,16 @@ def run_get(arguments: argparse.Namespace) -> int:
     if reason is not None:
         print(f"stampede: {reason}: {escaped(reason.detail)}", file=sys.stderr)
     return 0 if items else NOTHING
+
+
+def _check_options(arguments: argparse.Namespace) -> None:
+    """Raises InvalidArgument for options that would have no effect together."""
+    which = next((one for one in _WITHOUT_EFFECT if getattr(arguments, one) is not None), "")
+    if arguments.interval and (which or arguments.last or arguments.all):
+        raise InvalidArgument("give two times or one of --last, --at, --before, --all, not both")
+    for one in _WITHOUT_EFFECT.get(which, ()):
+        if getattr(arguments, one):
+            raise InvalidArgument(f"--{one.replace('_', '-')} has no effect with --{which}; leave one of them out")
 
 
 def _get(channel: Channel, arguments: argparse.Namespace) -> tuple[Sequence[Item], Reason | None]:
@@ -140,8 +152,8 @@ def _get_interval(channel: Channel, arguments: argparse.Namespace, payloads: boo
     return channel.get(
         start,
         end,
-        bounds="[)" if arguments.before is not None else arguments.bounds,
-        match="start" if newest_only else arguments.match,
+        bounds="[)" if arguments.before is not None else arguments.bounds or "[]",
+        match="start" if newest_only else arguments.match or "span",
         limit=(arguments.limit or 1) if newest_only else arguments.limit,
         newest_first=newest_only or arguments.newest_first,
         payloads=payloads,
@@ -152,8 +164,6 @@ def _get_interval(channel: Channel, arguments: argparse.Namespace, payloads: boo
 
 
 def _interval(arguments: argparse.Namespace) -> tuple[Any, Any]:
-    if arguments.interval and (arguments.last or arguments.all or arguments.before is not None):
-        raise InvalidArgument("give two times or one of --last, --at, --before, --all, not both")
     if arguments.last:
         return last(arguments.last)
     if arguments.before is not None:
