@@ -249,7 +249,7 @@ async def test_a_host_neither_overwrites_nor_reads_an_object_of_the_same_name_wi
     write_closed(files, 1)
     packed = files.stored.pack(files.waiting[0])
     store.objects[packed.name] = b"something else"
-    with pytest.raises(FileExistsError, match="other bytes"):
+    with pytest.raises(FileExistsError, match="does not have the object"):
         await move(files, store)
     assert store.objects == {packed.name: b"something else"}
     assert found_by(host(tmp_path, "a", store, 2)) == [1, 2, 3, 4]  # the host reads the file, not the object
