@@ -58,7 +58,7 @@ def test_a_service_ignores_the_certificate_settings_of_clients_and_logs_it(
     monkeypatch.setenv("STAMPEDE_TLS_CERTIFICATE", "/nowhere/client.pem")
     assert run_service(Settings, "sample", (), serve) == 0
     logged = capsys.readouterr().err
-    assert "no certificates are used: $STAMPEDE_TLS_CERTIFICATE are for clients" in logged
+    assert "this service uses no certificates: only clients use $STAMPEDE_TLS_CERTIFICATE;" in logged
     assert "$STAMPEDE_SAMPLE_TLS_CA" in logged
     monkeypatch.setenv("STAMPEDE_SAMPLE_TLS_CERTIFICATE", "/nowhere/own.pem")
     assert run_service(Settings, "sample", (), lambda settings: serve(_with_certificates(settings))) == 2

@@ -75,8 +75,8 @@ def _warn_of_clients_certificates(settings: ServiceSettings, service: str) -> No
     named = [f"${name}" for name in CLIENT_VARIABLES if os.environ.get(name)]
     if named and settings.tls_ca is None:
         logger.warning(
-            "no certificates are used: %s are for clients; name this service's own with --tls-ca, --tls-certificate "
-            "and --tls-key, or in $STAMPEDE_%s_TLS_CA, ..._CERTIFICATE and ..._KEY",
+            "this service uses no certificates: only clients use %s; name this service's own with --tls-ca, "
+            "--tls-certificate and --tls-key, or in $STAMPEDE_%s_TLS_CA, ..._CERTIFICATE and ..._KEY",
             ", ".join(named),
             service.replace("-", "_").upper(),
             extra={"event": "client_certificates_ignored"},
