@@ -92,7 +92,8 @@ class FakeDirectory(
                 )
                 for target in targets
             ],
-            cluster_id="c",
+            cluster_id=self.cluster_id,
+            former_cluster_ids=self.former_cluster_ids,
             protocol_version=1,
         )
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 
+import pytest
+
 from stampede_rt_runtime.clock import HostClock, SystemClock
 from tests.support.clock import ManualClock
 
@@ -20,7 +22,15 @@ def test_the_boot_time_never_goes_back() -> None:
     assert readings == sorted(readings)
 
 
-def test_setting_the_wall_clock_does_not_change_the_boot_time() -> None:
+def test_setting_the_wall_clock_of_the_system_does_not_change_the_boot_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(time, "time_ns", lambda: 5)
+    clock = SystemClock()
+    assert clock.time_unix_nano() == 5
+    before = time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+    assert before <= clock.boottime_nanos() <= time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+
+
+def test_setting_the_wall_clock_of_a_manual_clock_does_not_change_its_boot_time() -> None:
     clock = ManualClock()
     as_interface: HostClock = clock
     before = as_interface.boottime_nanos()

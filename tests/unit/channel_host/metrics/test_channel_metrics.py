@@ -16,6 +16,7 @@ from stampede_rt_channel_host.channels.subscriptions.reader_drops import Readers
 from stampede_rt_channel_host.channels.totals import ChannelTotals
 from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.core.channel.pieces import run_to_end
+from stampede_rt_channel_host.metrics import catalog
 from stampede_rt_channel_host.metrics.catalog import NAMES_MAX
 from stampede_rt_channel_host.metrics.channel_metrics import CHANNELS_PER_PIECE, ChannelMetrics
 from stampede_rt_runtime.metrics.families import Family
@@ -161,12 +162,18 @@ def test_only_chosen_channels_have_names_but_all_count() -> None:
 
 def test_subscriptions_that_miss_items_are_named_the_worst_first() -> None:
     host = Host()
-    with host.readers.reading("left") as slow, host.readers.reading("left"):
+    reading = host.readers.reading
+    with reading("left") as slow, reading("left"), reading("left") as slowest, reading("left") as slower:
         slow.count(5, 2)
+        slowest.count(0, 9)
+        slower.count(8, 0)
         found = sample_values(run_to_end(metrics_of(host).families()))
-        assert found["stampede_subscription_items_dropped_total", "left", "@anyone#1", "collected"] == 5
-        assert found["stampede_subscription_items_dropped_total", "left", "@anyone#1", "skipped"] == 2
-        assert not [key for key in found if "@anyone#2" in key]
+        assert [(key, value) for key, value in found.items() if key[0] == catalog.SUBSCRIPTION_DROPPED.name] == [
+            ((catalog.SUBSCRIPTION_DROPPED.name, "left", "@anyone#3", "skipped"), 9),
+            ((catalog.SUBSCRIPTION_DROPPED.name, "left", "@anyone#4", "collected"), 8),
+            ((catalog.SUBSCRIPTION_DROPPED.name, "left", "@anyone#1", "collected"), 5),
+            ((catalog.SUBSCRIPTION_DROPPED.name, "left", "@anyone#1", "skipped"), 2),
+        ]
     found = sample_values(run_to_end(metrics_of(host).families()))
-    assert found["stampede_items_dropped_total", "collected"] == 5  # also after the subscription has ended
-    assert not [key for key in found if "@anyone#1" in key]
+    assert found["stampede_items_dropped_total", "collected"] == 13  # also after the subscriptions have ended
+    assert not [key for key in found if key[0] == catalog.SUBSCRIPTION_DROPPED.name]

@@ -28,6 +28,7 @@ from stampede_rt_runtime.quotas.working import (
     loop_shares,
     usable_time,
 )
+from tests.support.forking.forked_children import in_a_forked_child
 
 MS = 1_000_000
 
@@ -264,13 +265,12 @@ def test_a_fork_of_the_importing_process_opens_its_own_statistics(monkeypatch: p
     """In an earlier version, the import opened the statistics of the importing thread, and the fork then read its
     parent's.
     """
-    opened: list[object] = []
+    monkeypatch.setattr(working, "_statistics", working._Statistics())  # as the import makes it
 
-    def noted(path: Any, *_: Any) -> int:
-        opened.append(path)
-        return -1
+    def in_child() -> tuple[int, str]:
+        usable_time()()
+        return os.getpid(), os.readlink(f"/proc/self/fd/{working._statistics.file.number}")
 
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "open", noted)
-        working._Statistics()
-    assert opened == []
+    pid, opened = in_a_forked_child(in_child)
+    assert pid != os.getpid()
+    assert opened == f"/proc/{pid}/task/{pid}/schedstat"

@@ -23,7 +23,7 @@ class Times:
         return self.now
 
 
-def test_a_store_that_fails_is_asked_again_only_after_a_pause(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_store_that_fails_is_asked_again_only_after_a_pause() -> None:
     store, clock = FakeStore(), Times()
     guarded = GuardedStore(store, clock)
     store.objects["a"] = b"0123"
@@ -108,9 +108,7 @@ async def test_a_store_that_refuses_to_make_or_delete_objects_can_still_be_read(
 
 
 @pytest.mark.asyncio
-async def test_an_upload_is_always_tried_and_readers_try_only_if_the_last_upload_succeeded(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_an_upload_is_always_tried_and_readers_try_only_if_the_last_upload_succeeded() -> None:
     class HangingStore(FakeStore):
         async def create(self, name: str, content: bytes | bytearray) -> bool:
             if name == "hangs":

@@ -1,4 +1,4 @@
-"""A put into a full channel takes at most a few times as many steps as a put into a channel with room."""
+"""A put into a full channel calls at most a few times as many functions as a put into a channel with room."""
 
 from __future__ import annotations
 
@@ -65,6 +65,8 @@ def calls_of_a_put(policy: Policy, items: int) -> float:
         pytest.param(Policy(max_items=800), 8, id="runs of eight"),
     ],
 )
-def test_a_put_on_a_full_channel_takes_few_more_steps_than_one_with_room(policy: Policy, items: int) -> None:
+def test_a_full_channel_multiplies_the_function_calls_of_a_put_by_at_most_a_small_factor(
+    policy: Policy, items: int
+) -> None:
     full, roomy = calls_of_a_put(policy, items), calls_of_a_put(ROOM, items)
     assert full < CALLS_MAX * roomy, f"{full:.0f} calls, and {roomy:.0f} with room"
