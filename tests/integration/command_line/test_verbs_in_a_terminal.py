@@ -132,9 +132,7 @@ def test_sub_joins_channels_that_appear_later(rt: st.Connection, terminal: Termi
     assert {json.loads(line)["payload"] for line in screen.lines} == {"first item"}
 
 
-def test_put_takes_one_item_for_each_line_of_standard_input(
-    rt: st.Connection, terminal: Terminal, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_put_takes_one_item_for_each_line_of_standard_input(rt: st.Connection, terminal: Terminal) -> None:
     output = terminal("put", "lines", "--lines", "--max-age", "1h", typed=b"one\ntwo\nlast\n\x04")
     assert output.text == "lines: 3 items put\n"
     assert terminal("put", "lines", "--lines", "--max-age", "1h", typed=b"one\n\x04").text == "lines: 1 item put\n"

@@ -136,7 +136,7 @@ def all_saw(readers: list[BackgroundReader], last: int) -> None:
     )
     for reader in readers:
         assert reader.error is None, reader.error
-        assert reader.seqs == [*range(reader.seqs[0], last + 1)]
+        assert reader.seqs == [*range(1, last + 1)]
 
 
 def wait_for_puts(producing: BackgroundProducer, items: int) -> None:

@@ -101,7 +101,10 @@ def test_subscriptions_spread_over_the_owner_and_the_proxies(rt: Any, channel: A
 def test_a_subscription_that_wants_the_owner_stays_there(rt: Any, channel: Any) -> None:
     rt.proxy(channel, "h2")
     with reading(channel, 4, stale_ok=False):
-        eventually(lambda: channel.stats().subscriptions == 4, "all readers are at the owner")
+        with reading(channel, 8):
+            eventually(lambda: rt.proxies(channel)[0].subscriptions, "some of the other readers are at the proxy")
+        eventually(lambda: not rt.proxies(channel)[0].subscriptions, "the other readers have left")
+        assert channel.stats().subscriptions == 4
 
 
 def test_no_reader_misses_or_repeats_an_item_while_proxies_are_added_and_removed(rt: Any, channel: Any) -> None:

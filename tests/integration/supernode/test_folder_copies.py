@@ -50,7 +50,7 @@ async def test_a_copy_that_was_started_first_exits_when_the_supernode_starts(tmp
             await one.close()
 
 
-async def test_status_says_that_a_supernode_without_its_folder_is_a_cluster_of_its_own(tmp_path: Path) -> None:
+async def test_status_says_that_a_supernode_without_its_folder_is_a_cluster_of_its_own() -> None:
     (port,) = free_ports(1)
     address = f"127.0.0.1:{port}"
     alone = Supernode("supernode-1", address, ["--listen", address])

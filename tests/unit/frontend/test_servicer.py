@@ -144,3 +144,6 @@ async def test_a_member_that_was_removed_is_not_probed_any_more() -> None:
         await bind_until(bind, lambda answer: len(answer.supernodes) == 2)
         one.members = two.members = {"s1": first.address}
         await bind_until(bind, lambda answer: len(answer.supernodes) == 1)
+        before, pings = two.pings, one.pings
+        await bind_until(bind, lambda _: one.pings > pings + 10)
+        assert two.pings <= before + 1, "one probe may have been under way"

@@ -130,8 +130,8 @@ async def test_every_kind_of_call_is_allowed_only_to_its_roles(
     assert handlers.called == 1
 
 
-async def test_every_port_refuses_a_certificate_of_another_cluster(
-    made: ClusterCertificates, own: ServiceTls, tmp_path: Path
+async def test_a_port_refuses_a_certificate_of_another_cluster_even_if_it_trusts_its_authority(
+    made: ClusterCertificates, tmp_path: Path
 ) -> None:
     other = ClusterCertificates(tmp_path / "other", cluster="other")
     both = tmp_path / "both.pem"

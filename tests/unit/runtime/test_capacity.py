@@ -66,9 +66,7 @@ async def test_a_port_full_of_watches_still_serves_members_lease_renewals_and_si
     assert "2 streams are open at this port, as many as it serves" in error.message
 
 
-async def test_single_requests_that_arrive_together_are_handled_a_few_in_each_turn(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_single_requests_that_arrive_together_are_handled_a_few_in_each_turn() -> None:
     """In an earlier version, one turn of the event loop took all requests. 32 requests of one caller took 4 ms."""
     may_arrive, calls, turns = asyncio.Event(), 40, list[int]()
     gate, done = TurnGate(), 0

@@ -72,7 +72,7 @@ def test_a_newcomer_elsewhere_may_not_join_members_that_it_cannot_call(
 
 
 def test_either_all_or_no_addresses_of_a_list_of_members_are_loopback_addresses(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     words = ["--id", "s1", "--listen", "localhost:7581", "--members", f"s1=localhost:7581,s2={ELSEWHERE}"]
     assert main(words) == 2

@@ -88,7 +88,9 @@ def test_json_shows_its_numbers_by_name() -> None:
     "payload", [b"[" * 100_000, b'"\\ud800"', b"1" * 5000, b"NaN"], ids=["deep", "surrogate", "long", "nan"]
 )
 def test_unusual_json_still_has_a_preview(payload: bytes) -> None:
-    json.dumps(preview_of("application/json", payload), allow_nan=False).encode()
+    preview = preview_of("application/json", payload)
+    assert preview
+    json.dumps(preview, allow_nan=False).encode()
 
 
 def test_a_header_that_claims_a_huge_array_has_a_preview_as_bytes() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
-
 from stampede_rt.errors import StampedeError
 from stampede_rt_channel_host.channels import fed_copies
 from stampede_rt_channel_host.channels.fed_copies import READERS_MOVED_MAX, FedCopies, FedCopy
@@ -53,12 +51,13 @@ def test_readers_that_arrive_together_are_counted_before_the_copy_reports_them()
     assert [copies.less_loaded("cam", 3) is None for _ in range(4)] == [False, False, False, True]
 
 
-def test_a_silent_copy_and_a_copy_that_is_not_ready_get_no_readers(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_silent_copy_and_a_copy_that_is_not_ready_get_no_readers() -> None:
     assert fed(copy_with(0, ready=False)).less_loaded("cam", 9) is None
     assert fed(copy_with(0, ready=False)).for_gets() == ""
     silent = copy_with(0)
     silent.reported_nanos -= fed_copies.REPORT_AGE_NANOS_MAX + 1
     assert fed(silent).less_loaded("cam", 9) is None
+    assert fed(silent).for_gets() == ""
 
 
 def test_gets_use_the_copies_in_turn() -> None:

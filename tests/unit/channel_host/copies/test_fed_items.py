@@ -50,7 +50,7 @@ def test_an_item_whose_fields_protobuf_has_encoded_is_read_too(fed: FedItem) -> 
 
 
 @given(parts, strategies.integers(1, 150), strategies.integers(1, 255))
-def test_a_damaged_item_is_refused_or_another_item(fed: FedItem, at: int, flipped: int) -> None:
+def test_a_damaged_item_is_refused_or_read_without_another_error(fed: FedItem, at: int, flipped: int) -> None:
     raw = bytearray(encode_item(fed))
     raw[at % len(raw)] ^= flipped
     for damaged in (bytes(raw), bytes(raw[: at % len(raw)])):

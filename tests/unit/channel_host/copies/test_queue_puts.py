@@ -46,7 +46,7 @@ def test_a_put_whose_fields_protobuf_has_encoded_is_read_too(put: AheadPut) -> N
 
 
 @given(puts, strategies.integers(1, 150), strategies.integers(1, 255))
-def test_a_damaged_put_is_refused_or_read_as_another_put(put: AheadPut, at: int, flipped: int) -> None:
+def test_a_damaged_put_is_refused_or_read_without_another_error(put: AheadPut, at: int, flipped: int) -> None:
     raw = bytearray(encode_put(put))
     raw[at % len(raw)] ^= flipped
     for damaged in (bytes(raw), bytes(raw[: at % len(raw)])):

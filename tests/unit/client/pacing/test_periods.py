@@ -117,7 +117,7 @@ async def test_a_coroutine_function_can_be_sampled() -> None:
     assert put_values == [5]
 
 
-async def test_a_cancelled_sampled_function_has_failed(caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_cancelled_sampled_function_has_failed() -> None:
     clock, session = TestClock(), SessionParts()
 
     async def sample() -> None:

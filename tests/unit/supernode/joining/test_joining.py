@@ -79,7 +79,7 @@ async def test_a_cluster_founded_from_a_backup_has_all_acknowledged_commands(
             await restored.close()
 
 
-async def test_a_supernode_that_is_no_member_cannot_be_asked_for_a_snapshot(tmp_path: Path) -> None:
+async def test_the_verb_snapshot_fails_for_a_supernode_that_is_no_member_and_for_an_unwritable_file() -> None:
     address = f"127.0.0.1:{free_ports(1)[0]}"
     one = Supernode("s1", address, ["--id", "s1", "--listen", address])
     try:
