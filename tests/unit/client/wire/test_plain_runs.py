@@ -39,13 +39,24 @@ def test_a_cut_run_is_not_plain(payload: bytes, data: strategies.DataObject) -> 
     assert read_plain_run(made[: data.draw(strategies.integers(0, len(made) - 1))]) is None
 
 
-@given(strategies.binary(max_size=60))
-def test_any_bytes_read_as_plain_are_a_run_of_these_columns(raw: bytes) -> None:
-    found = read_plain_run(raw)
-    if found is not None:
-        run = item_pb2.ItemRun.FromString(raw)
-        assert [*run.time_unix_nano] == ([] if found.time is None else [found.time])
-        assert ([*run.payload_length_bytes], len(run.payloads)) == ([found.length], found.length)
+@pytest.mark.parametrize("time", [None, 5])
+@pytest.mark.parametrize("duration", [None, 6])
+@pytest.mark.parametrize("payload", [b"", b"payload", bytes(200)])
+def test_damaged_bytes_read_as_plain_are_a_run_of_these_columns(
+    time: int | None, duration: int | None, payload: bytes
+) -> None:
+    made, plain = b"".join(plain_run_parts(payload, time, duration)), 0
+    for at in range(len(made)):
+        for flipped in range(1, 256):
+            raw = made[:at] + bytes((made[at] ^ flipped,)) + made[at + 1 :]
+            found = read_plain_run(raw)
+            if found is not None:
+                plain += 1
+                run = item_pb2.ItemRun.FromString(raw)
+                assert [*run.time_unix_nano] == ([] if found.time is None else [found.time])
+                assert [*run.duration_nanos] == ([] if found.duration is None else [found.duration])
+                assert ([*run.payload_length_bytes], len(run.payloads)) == ([found.length], found.length)
+    assert plain >= 255 * (8 * ((time is not None) + (duration is not None)) + len(payload))
 
 
 def test_other_runs_are_not_plain() -> None:

@@ -70,11 +70,19 @@ def test_the_parts_of_a_sealed_run_are_the_parts_that_a_parser_finds(
     assert sealed_columns(sealed[: data.draw(strategies.integers(0, len(sealed) - 1))]) is None
 
 
-@given(strategies.binary(max_size=60))
-def test_bytes_that_are_no_run_have_no_columns_or_the_columns_that_a_parser_finds(raw: bytes) -> None:
-    found = sealed_columns(raw)
-    if found is not None and item_parses(raw):
-        assert [*found.lengths] == [*item_pb2.ItemRun.FromString(raw).payload_length_bytes]
+@pytest.mark.parametrize("attributes", [{}, {"k": "v"}])
+def test_a_damaged_run_has_no_columns_or_the_columns_that_a_parser_finds(attributes: dict[str, str]) -> None:
+    sealed, compared = seal_run(encoded([(1, 2, b"abc"), (3, 4, b"de")], attributes=attributes), 5), 0
+    for at in range(len(sealed)):
+        for flipped in range(1, 256):
+            raw = sealed[:at] + bytes((sealed[at] ^ flipped,)) + sealed[at + 1 :]
+            found = sealed_columns(raw)
+            if found is not None and item_parses(raw):
+                compared += 1
+                parsed = item_pb2.ItemRun.FromString(raw)
+                assert [*found.lengths] == [*parsed.payload_length_bytes]
+                assert (found.first_seq, [*found.times]) == (parsed.first_seq, [*parsed.time_unix_nano])
+    assert compared > 255 * 8
 
 
 def item_parses(raw: bytes) -> bool:

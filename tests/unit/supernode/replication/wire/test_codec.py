@@ -106,11 +106,27 @@ def test_a_message_without_a_kind_is_refused() -> None:
 
 @given(st.binary(max_size=200))
 def test_random_bytes_are_refused_or_well_formed(data: bytes) -> None:
+    is_well_formed(data)
+
+
+@pytest.mark.parametrize("message", EVERY_KIND, ids=lambda message: type(message).__name__)
+def test_a_damaged_message_is_refused_or_well_formed(message: Message) -> None:
+    wire = encode_message(message).SerializeToString()
+    well_formed = 0
+    for at in range(len(wire)):
+        for bit in range(8):
+            well_formed += is_well_formed(wire[:at] + bytes((wire[at] ^ 1 << bit,)) + wire[at + 1 :])
+    assert well_formed
+
+
+def is_well_formed(data: bytes) -> bool:
+    """Whether the bytes are a message. Checks that the encoded message is decoded as the same message."""
     try:
         message = decode_message(pb.RaftMessage.FromString(data))
     except (DecodeError, MalformedMessage):
-        return
+        return False
     assert decode_message(encode_message(message)) == message
+    return True
 
 
 def test_a_snapshot_is_decoded_as_it_was_encoded() -> None:
