@@ -180,6 +180,10 @@ async def test_new_connections_get_the_new_certificate_and_open_ones_continue(
         made.renew()
         made.forget_former()
         assert (await stub.Check(ask, timeout=5)).status == health_pb2.HealthCheckResponse.SERVING
+        newcomer = TlsReader(made.issue(Role.HOST, "h2"))  # trusts only the new authority
+        async with dial(server.address, secret=None, tls=newcomer) as connection:
+            answer = await health_pb2_grpc.HealthStub(connection).Check(ask, timeout=5)
+        assert answer.status == health_pb2.HealthCheckResponse.SERVING
         await server.set_serving(False)
         assert (await watch.read()).status == health_pb2.HealthCheckResponse.NOT_SERVING
         watch.cancel()

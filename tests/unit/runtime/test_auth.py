@@ -108,8 +108,9 @@ async def test_both_values_of_a_secret_open_the_port_while_it_is_replaced() -> N
     async with serving(register, secret=both) as server:
         for secret in (RIGHT, Secret(text="former", path=Path("secret"))):
             assert (await first_of_watch(server.address, secret)).status == health_pb2.HealthCheckResponse.SERVING
-        with pytest.raises(grpc.aio.AioRpcError):
+        with pytest.raises(grpc.aio.AioRpcError) as caught:
             await first_of_watch(server.address, WRONG)
+    assert caught.value.code() is grpc.StatusCode.UNAUTHENTICATED
 
 
 async def test_a_caller_with_the_secret_of_clients_may_call_only_the_methods_for_clients(
@@ -168,8 +169,9 @@ async def test_a_call_without_the_right_secret_is_refused_with_the_places_of_sec
 async def test_only_the_exact_form_of_the_authorization_is_admitted(value: str) -> None:
     async with serving(register, secret=RIGHT) as server, dial(server.address, secret=None) as channel:
         call = health_pb2_grpc.HealthStub(channel).Watch(ASK, timeout=LIMIT_S, metadata=(("authorization", value),))
-        with pytest.raises(grpc.aio.AioRpcError):
+        with pytest.raises(grpc.aio.AioRpcError) as caught:
             await call.read()
+    assert caught.value.code() is grpc.StatusCode.UNAUTHENTICATED
 
 
 async def test_a_method_that_does_not_exist_is_refused_in_the_same_way() -> None:

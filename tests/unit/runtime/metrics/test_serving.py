@@ -73,6 +73,8 @@ async def test_a_page_shows_the_calls_the_refusals_and_the_process_of_a_server()
     for line in (
         "stampede_ready 0.0",
         'stampede_streams_open{transport="socket"} 0.0',
+        "stampede_calls_open 0.0",
+        "stampede_calls_refused_total 0.0",
         "process_resident_memory_bytes",
     ):
         assert line in page
