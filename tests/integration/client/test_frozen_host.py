@@ -28,7 +28,7 @@ def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(streams_async, "SILENCE_S_MAX", 3.0)
 
 
-def test_calls_of_every_kind_continue_at_another_supernode_within_their_timeouts(cluster: LocalCluster) -> None:
+def test_calls_of_every_kind_continue_at_another_host_within_their_timeouts(cluster: LocalCluster) -> None:
     """No caller need repeat its call: the client notices the silence before the time for one call is over."""
     with st.connect(cluster.address) as rt, ThreadPoolExecutor(8) as pool:
         channel = rt.channel("cam/a", max_age="60s")
@@ -50,7 +50,7 @@ def test_calls_of_every_kind_continue_at_another_supernode_within_their_timeouts
         frozen.resume()
 
 
-async def test_awaited_calls_of_every_kind_continue_at_another_supernode_within_their_timeouts(
+async def test_awaited_calls_of_every_kind_continue_at_another_host_within_their_timeouts(
     cluster: LocalCluster,
 ) -> None:
     async with aio.connect(cluster.address) as rt:

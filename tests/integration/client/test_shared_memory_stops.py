@@ -141,7 +141,7 @@ def test_items_that_a_group_hides_are_not_read_from_memory(
         assert [one.payload for one in view.at(base + 4)] == []
 
 
-def test_readers_of_shared_memory_change_to_a_proxy_when_the_owner_is_lost(cluster: LocalCluster) -> None:
+def test_readers_of_shared_memory_stay_at_the_owner_although_there_is_a_proxy(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, transport="shared") as rt:
         channel = rt.channel("proxied", max_age="600s", host="h1")
         first = channel.put(b"first")

@@ -234,15 +234,19 @@ async def test_cancelled_calls_leave_no_unretrieved_exception(
 
 async def test_a_producer_whose_stream_breaks_repeatedly_has_no_gap_and_no_duplicate(cluster: LocalCluster) -> None:
     async with await aio.connect(cluster.address) as rt:
-        channel = await rt.channel("client/producer", max_age="60s", max_items=100_000)
+        channel, broken = await rt.channel("client/producer", max_age="60s", max_items=100_000), 0
         async with channel.producer() as producer:
             for number in range(20_000):
                 await producer.put(b"%d" % number)
                 if number % 3_000 == 2_999 and producer._stream is not None:
                     producer._stream._duplex._call.cancel()
+                    broken += 1
             await producer.flush()
         assert producer.accepted == 20_000
         assert (await channel.stats()).accepted == 20_000
+        items = await channel.get(st.OLDEST, st.NEWEST)
+        assert broken > 1
+        assert [item.payload for item in items] == [b"%d" % number for number in range(len(items))]
 
 
 async def test_binding_again_at_the_same_host_leaves_no_stream_open(cluster: LocalCluster) -> None:

@@ -57,7 +57,7 @@ def test_a_read_that_no_proxy_can_answer_goes_to_the_owner(rt: Any, channel: Any
         assert channel.newest(least_seq=item.seq).seq == item.seq
 
 
-def test_a_get_that_waits_at_a_proxy_gets_the_next_item(rt: Any, channel: Any) -> None:
+def test_a_get_that_a_proxy_may_answer_waits_for_the_next_item(rt: Any, channel: Any) -> None:
     first = channel.put(b"first")
     rt.proxy(channel, "h2")
     with produced(channel):
