@@ -114,5 +114,5 @@ async def test_a_host_that_registers_again_and_again_gives_up_the_lookup() -> No
             break
         run_to_end(store.registering([], is_complete=True))
         request.result().set_result(record(ME, 1))
-    with pytest.raises(StaleBinding, match="resolve the channel again"):
+    with pytest.raises(StaleBinding, match="resolve it again"):
         await binding

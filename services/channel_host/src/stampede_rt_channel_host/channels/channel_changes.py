@@ -58,7 +58,8 @@ class ChannelChanges:
         self._store.recordings.check_change(hosted.record, change.stated)  # before the directory takes it
         registrations = self._store.registrations
         record = await self._directory.update(channel_id, epoch, change, request_id=request_id, since_s=since_s)
-        if registrations != self._store.registrations:
+        is_same = registrations == self._store.registrations and self._store.serves(hosted)
+        if not is_same or hosted.epoch != epoch:  # the answer may be older than the channel's present owner
             return await self._store.bind(channel_id, record.epoch, record.spec_version)
         changed = await self._store.recordings.adopt(record, hosted, self._store.adopt)
         check_policy(changed, record.spec_version)

@@ -45,6 +45,11 @@ class ChannelTable(Mapping[bytes, HostedChannel]):
             raise Overloaded(f"host {self._host_name} has {CHANNELS_MAX} channels, the limit; use another host")
         self._shares.check(created_by)
 
+    def version_of(self, channel_id: bytes) -> tuple[HostedChannel | None, int]:
+        """Changes when the host gets, drops or replaces the channel, or learns of another epoch."""
+        hosted = self._by_id.get(channel_id)
+        return hosted, 0 if hosted is None else hosted.epoch
+
     def add(self, hosted: HostedChannel) -> None:
         """Add a channel."""
         record = hosted.record

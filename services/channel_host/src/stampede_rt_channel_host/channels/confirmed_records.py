@@ -1,28 +1,32 @@
-"""Asks the directory for the record of a channel, so that no answer from before a registration counts."""
+"""Asks the directory for records, so that no answer counts that is older than the host's own knowledge."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
+from typing import TypeVar
 
-from stampede_rt_channel_host.channels import refusals
-from stampede_rt_channel_host.cluster.directory import DirectoryQueries
-from stampede_rt_channel_host.core.records import RecordedChannel
+from stampede_rt.errors import error_for
 
-LOOKUPS_MAX = 3  # the most lookups of one record: the host repeats a lookup during which it registered
+LOOKUPS_MAX = 3
+"""The most lookups of one record. The host repeats a lookup during which the channel or queue changed here."""
+Record = TypeVar("Record")
 
 
 async def confirmed_record(
-    directory: DirectoryQueries, channel_id: bytes, registrations: Callable[[], int], host_name: str
-) -> RecordedChannel:
-    """The record of the channel. Asks again if the host registers before the answer comes.
+    look_up: Callable[[bytes], Awaitable[Record]], subject_id: bytes, version: Callable[[], object]
+) -> Record:
+    """The directory's record of the channel or queue with this id.
 
-    Such an answer may be out of date: the lease ended before the host registered again, and the channel may have got a
-    new owner meanwhile. `registrations` returns the number of registrations up to now. Raises the error that the
-    directory answers. Raises StaleBinding if the host registered during each of LOOKUPS_MAX lookups.
+    Repeats the lookup if `version()` changes before the answer comes. Such an answer may be out of date: the channel
+    may have moved to this host meanwhile, or the lease ended before the host registered again, and the channel got a
+    new owner. `version()` changes with each registration, and when this host gets, drops or replaces the channel, or
+    learns of another epoch. Raises the error that the directory answers. Raises StaleBinding (NOT_HERE) if the version
+    changed during each of LOOKUPS_MAX lookups.
     """
     for _ in range(LOOKUPS_MAX):
-        before = registrations()
-        record = await directory.resolve(channel_id)
-        if before == registrations():
+        before = version()
+        record = await look_up(subject_id)
+        if before == version():
             return record
-    raise refusals.fenced(host_name)
+    text = f"{subject_id.hex()} changed at this host while the host asked the directory for it; resolve it again"
+    raise error_for("NOT_HERE", text)

@@ -54,6 +54,7 @@ class CopyState:
         self.caught_up = False
         self.is_replica = False  # a replica has items that readers must not see yet, so it serves no reader
         self.reconnects = 0
+        self.moves_here = False  # a move feeds the copy, so that this host becomes the owner
         self.may_inherit: Inheritance | None = None  # set if the host may become the owner, with this copy's items
         self.floors: dict[bytes, CutFloor] = {}  # by group: the cut up to which the copy may show the group
         self._changed = asyncio.Event()

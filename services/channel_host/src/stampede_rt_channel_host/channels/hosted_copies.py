@@ -111,9 +111,13 @@ def inherits(copy: HostedChannel, record: RecordedChannel) -> bool:
     return fits and copy.copy is not None and copy.copy.may_inherit is not None
 
 
-def is_given_away(hosted: HostedChannel | None) -> bool:
-    """Whether the directory may have committed a move away from here. Then only that move decides about the items."""
-    return hosted is not None and hosted.copy is None and hosted.moving is not None and hosted.moving.is_held
+def is_left_to_move(hosted: HostedChannel | None) -> bool:
+    """Whether the directory may soon commit a move of the channel, or has done so. Then only that move decides about
+    the items.
+    """
+    if hosted is not None and hosted.copy is not None:
+        return hosted.copy.moves_here
+    return hosted is not None and hosted.moving is not None and hosted.moving.is_held
 
 
 def changes_kind(hosted: HostedChannel, record: RecordedChannel) -> bool:
@@ -127,6 +131,14 @@ def is_undecided(hosted: HostedChannel, record: RecordedChannel) -> bool:
     A new object for the channel would not know the move, and would accept puts that the next owner does not get.
     """
     return hosted.moving is not None and hosted.moving.is_held and record.epoch <= hosted.record.epoch
+
+
+def ignores(hosted: HostedChannel, record: RecordedChannel) -> bool:
+    """Whether the host goes on with the channel as it is: it knows a later record than `record`, or it serves the
+    channel with another kind of replicas only after a move. `bind` raises an error until then.
+    """
+    is_older = (record.epoch, record.spec_version) < (hosted.record.epoch, hosted.record.spec_version)
+    return is_older or (changes_kind(hosted, record) and is_undecided(hosted, record))
 
 
 def check_policy(hosted: HostedChannel | None, spec_version: int) -> None:

@@ -17,7 +17,7 @@ from stampede_rt_channel_host.channels.copy_state import Freshness, gone
 from stampede_rt_channel_host.channels.frames import SharedDeliveries
 from stampede_rt_channel_host.channels.host_clocks import HostClocks
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.hosted_copies import HostedCopies, inherits, is_given_away, redirect_error
+from stampede_rt_channel_host.channels.hosted_copies import HostedCopies, inherits, is_left_to_move, redirect_error
 from stampede_rt_channel_host.channels.limits.id_owners import IdOwners
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.multicast.multicasts import Multicasts
@@ -256,43 +256,43 @@ class ChannelStore:
 
     async def _ask(self, channel_id: bytes) -> None:
         self._check_lease()
-        held = self._channels.get(channel_id)
         try:
             record = await confirmed_record(
-                self._directory, channel_id, lambda: self.registrations, self._identity.name
+                self._directory.resolve,
+                channel_id,
+                lambda: (self.registrations, *self._channels.version_of(channel_id)),
             )
         except ChannelNotFound:
-            if held is not None:
+            if (held := self._channels.get(channel_id)) is not None:
                 self.forget(channel_id, refusals.deleted(held.record.name))
                 self.recordings.deleted(held.record)
             raise
-        if record.host_id != self._identity.host_id and is_given_away(held):
+        held = self._channels.get(channel_id)
+        if record.host_id != self._identity.host_id and is_left_to_move(held):
             raise redirect_error(held) or refusals.moved(record.name, record.host_id)
         if self._identity.host_id in record.copy_host_ids:
             return await self.copies.on_bound(record)
         if record.host_id != self._identity.host_id:
-            error = refusals.moved(record.name, record.host_id)
-            self.forget(channel_id, error)
+            self.forget(channel_id, error := refusals.moved(record.name, record.host_id))
             raise error
         await self.recordings.adopt(record, held, self.adopt)
 
     def adopt(self, record: RecordedChannel) -> HostedChannel:
         """Serve the channel according to a record of the directory. Ignores a record older than the present one."""
         held = self._channels.get(record.channel_id)
-        if held is not None and held.copy is not None:  # this host has become the owner
+        if held is not None and held.copy is not None and record.epoch > held.record.epoch:  # it is the owner now
             core = None if inherits(held, record) else held.core_of_owner(record)
             if core is not None:
                 return self._continue(held, record, core, gone(record.name))
             held = self.copies.inherit(held, record)
         if held is not None and held.record.incarnation == record.incarnation:
+            if hosted_copies.ignores(held, record):
+                return held
             if hosted_copies.changes_kind(held, record):
-                if hosted_copies.is_undecided(held, record):
-                    return held  # `bind` raises an error until then
                 error = refusals.not_here(self._identity.name, record.channel_id)
                 return self._continue(held, record, hosted_copies.continued_core(held), error)
-            if (record.epoch, record.spec_version) >= (held.record.epoch, held.record.spec_version):
-                held.registration = self.registrations
-                held.update(record)
+            held.registration = self.registrations
+            held.update(record)
             return held
         if held is not None:
             if record.epoch < held.record.epoch:

@@ -95,16 +95,19 @@ class CopyKeeper:
         copy = self._store.copies.of(channel_id)
         if copy is not None and copy.copy is not None and copy.copy.is_replica:
             copy.copy.caught_up = False  # so that the move waits until the replica is level
-            return copy.copy
-        self._store.copies.drop(channel_id, gone(channel_id.hex()))
-        return CopyState()
+            state = copy.copy
+        else:
+            self._store.copies.drop(channel_id, gone(channel_id.hex()))
+            state = CopyState()
+        state.moves_here = True
+        return state
 
     def resume(self, record: RecordedChannel, state: CopyState) -> None:
         """Note that a move is over. If it has failed, feed the replica again, or drop another copy."""
         self._paused.discard(record.channel_id)
         copy = self._store.copies.of(record.channel_id)
         if copy is not None and state.is_replica:
-            state.may_inherit = None
+            state.may_inherit, state.moves_here = None, False
             self._start(copy.record, state)
         else:
             self._store.copies.drop(record.channel_id, gone(record.name))

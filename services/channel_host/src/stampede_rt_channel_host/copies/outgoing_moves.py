@@ -187,7 +187,10 @@ class OutgoingMove:
         directory, record, request_id = self._moves.directory, self._hosted.record, secrets.token_bytes(16)
         while self._is_under_way and not self.is_committed:
             try:
-                self._moves.store.adopt(await directory.commit(record.channel_id, record.epoch, request_id))
+                present = await directory.commit(record.channel_id, record.epoch, request_id)
+                if not self._is_under_way:
+                    return
+                self._moves.store.adopt(present)
                 logger.info(
                     "a move has failed; the channel stays", extra={"event": "move_ended", "channel": record.name}
                 )
@@ -207,6 +210,8 @@ class OutgoingMove:
             present = await self._moves.directory.resolve(self._hosted.record.channel_id)
         except StampedeError:
             await asyncio.sleep(RETRY_SECONDS)
+            return
+        if not self._is_under_way:
             return
         if present.host_id == self._moves.identity.host_id:
             self._moves.store.adopt(present)

@@ -63,8 +63,10 @@ class QueueArrivals:
 
         The move continues if the caller is cancelled. Raises the errors of MigrationService.MoveHere.
         """
-        if record.host_id == self._identity.host_id:
-            return MovedQueue(await self._queues.use(record.queue_id, record.epoch), 0)
+        known = self._queues.known(record.queue_id)
+        is_here = known is not None and known.record.epoch > record.epoch  # since the directory has given `record`
+        if is_here or record.host_id == self._identity.host_id:
+            return MovedQueue(await self._queues.use(record.queue_id, None if is_here else record.epoch), 0)
         move = self._moves.get(record.queue_id) or self._begin_move(record, target)
         return await asyncio.shield(move)
 
@@ -160,8 +162,12 @@ class QueueArrivals:
         self._queues.expect(record, content)
         request_id = secrets.token_bytes(16)
         commit = partial(self._directory.commit_queue, record.queue_id, record.epoch, request_id, permit)
+        registrations = self._queues.registrations
         adopted = await until_known(commit)
-        self._queues.adopt(adopted)
+        if registrations == self._queues.registrations:
+            self._queues.adopt(adopted)
+        else:  # the lease had ended, and the queue may have another owner by now
+            await self._queues.use(adopted.queue_id, adopted.epoch)
         return adopted
 
 

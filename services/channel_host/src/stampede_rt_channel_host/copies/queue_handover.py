@@ -110,9 +110,12 @@ class QueueHandovers:
         record, request_id = hosted.record, secrets.token_bytes(16)
         if is_committed:
             self._gone(hosted, refusals.moved_to(record, host_id))
-        while self._queues.serves(hosted) and hosted.moving is not None:
+        while self._is_under_way(hosted):
             try:
-                self._queues.adopt(await self._directory.commit_queue(record.queue_id, record.epoch, request_id))
+                present = await self._directory.commit_queue(record.queue_id, record.epoch, request_id)
+                if not self._is_under_way(hosted):
+                    return
+                self._queues.adopt(present)
                 extra = {"event": "move_ended", "channel": display_name(record)}
                 logger.info("a move of a queue has failed; the queue stays", extra=extra)
             except StaleBinding:
@@ -129,10 +132,14 @@ class QueueHandovers:
         except StampedeError:
             await asyncio.sleep(RETRY_SECONDS)
             return
-        if present.host_id == self._identity.host_id:
-            self._queues.adopt(present)
-        else:
+        if present.host_id != self._identity.host_id:
             self._gone(hosted, refusals.moved(present))
+        elif self._is_under_way(hosted):
+            self._queues.adopt(present)
+
+    def _is_under_way(self, hosted: HostedQueue) -> bool:
+        """Whether this host still has the queue, and a move of it away is not decided."""
+        return self._queues.serves(hosted) and hosted.moving is not None
 
     def _gone(self, hosted: HostedQueue, error: StampedeError) -> None:
         name = display_name(hosted.record)

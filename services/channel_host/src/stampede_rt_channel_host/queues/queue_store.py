@@ -15,6 +15,7 @@ from itertools import islice
 from sortedcontainers import SortedDict
 
 from stampede_rt.errors import Overloaded, QueueNotFound, StaleBinding, StampedeError
+from stampede_rt_channel_host.channels.confirmed_records import confirmed_record
 from stampede_rt_channel_host.channels.limits.creation_shares import CreationShares
 from stampede_rt_channel_host.channels.limits.id_owners import IdOwners
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
@@ -40,7 +41,6 @@ QUEUES_PER_PIECE = 128
 QUEUES_COMPARED_PER_PIECE = 32  # it takes up to 50 us to log and drop one
 RECORDS_PER_PIECE = 64  # it takes 5 to 15 us to decode a record
 # the most lookups in the directory for one `use`: the store asks again if the host registered during a lookup
-LOOKUPS_MAX = 3
 
 
 class QueueStore:
@@ -73,7 +73,8 @@ class QueueStore:
         self._queues: dict[bytes, HostedQueue] = SortedDict()
         self._single_flight = SingleFlight()
         self._closing: StampedeError | None = None  # the error for all requests as soon as the host shuts down
-        self._registrations = 0  # the number of registrations whose answers have come
+        self.registrations = 0
+        """The number of registrations whose answers have come."""
         self.deadlines: Deadlines[HostedQueue] = Deadlines()
         self.in_use = asyncio.Event()  # set when a queue is first used here
         self._creation_shares = CreationShares(identity.name, "queues", QUEUES_MAX)
@@ -121,8 +122,8 @@ class QueueStore:
         store drops the queues that it does not name. Otherwise the store serves an unnamed queue again only after its
         next `use`.
         """
-        self._registrations += 1
-        registration = self._registrations
+        self.registrations += 1
+        registration = self.registrations
         listed: dict[bytes, RecordedQueue] = {}
         unread = iter(records)
         while part := [*islice(unread, RECORDS_PER_PIECE)]:
@@ -274,39 +275,30 @@ class QueueStore:
         return hosted is not None and hosted.epoch > 0 and (epoch or 0) <= hosted.epoch
 
     async def _ask(self, queue_id: bytes) -> None:
-        held = self._queues.get(queue_id)
         try:
-            record = await self._resolve(queue_id)
+            found = await confirmed_record(self._directory.resolve, queue_id, lambda: self._version_of(queue_id))
         except QueueNotFound:
-            if held is not None:
+            if (held := self._queues.get(queue_id)) is not None:
                 self.forget(queue_id, refusals.deleted(held.record))
             raise
+        record = found.queue
         if record.host_id != self._identity.host_id:
             error = refusals.moved(record)
             self.forget(queue_id, error)
             raise error
         self.adopt(record)
 
-    async def _resolve(self, queue_id: bytes) -> RecordedQueue:
-        """Ask the directory for the record of the queue. Asks again if the host registers before the answer comes.
-
-        Such an answer may be out of date: the lease ended before the host registered again, and the queue may have got
-        a new owner meanwhile. Raises the error with which the directory answers. Raises StaleBinding if the host
-        registered during each of LOOKUPS_MAX lookups.
-        """
-        for _ in range(LOOKUPS_MAX):
-            registrations = self._registrations
-            record = (await self._directory.resolve(queue_id)).queue
-            if registrations == self._registrations:
-                return record
-        raise refusals.fenced(self._identity.name)
+    def _version_of(self, queue_id: bytes) -> object:
+        """See `confirmed_record`."""
+        hosted = self._queues.get(queue_id)
+        return self.registrations, hosted, hosted and hosted.epoch
 
     def adopt(self, record: RecordedQueue) -> None:
         """Serve the queue according to a record of the directory. Ignores a record older than the present one."""
         held = self._queues.get(record.queue_id)
         if held is not None and held.record.incarnation == record.incarnation:
             if (record.epoch, record.spec_version) >= (held.record.epoch, held.record.spec_version):
-                held.registration = self._registrations
+                held.registration = self.registrations
                 replication = held.replication
                 held.update(record)
                 self._note_replicated(held, replication)
@@ -315,13 +307,16 @@ class QueueStore:
             if record.epoch < held.record.epoch:
                 return
             self.forget(record.queue_id, refusals.wrong_epoch(record, held.record.epoch))
+        copy = self.copies.of(record.queue_id)
+        if copy is not None and record.epoch <= copy.record.epoch:
+            return  # the record is from the time before this host became a replica
         self.check_room(record)
         epoch, arrived = self._arriving.pop(record.queue_id, (0, None))
         inherited = self.copies.inherit(record)
         content = arrived if epoch == record.epoch else inherited
         queue_parts = self.memory, self.now, self._on_dead_letters, self.deadlines, self.may_serve
         hosted = HostedQueue(record, *queue_parts, content)
-        hosted.registration = self._registrations
+        hosted.registration = self.registrations
         self._queues[record.queue_id] = hosted
         self._creation_shares.note(record.created_by, +1)
         self._note_replicated(hosted, None)
