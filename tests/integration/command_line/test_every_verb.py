@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 import os
 import signal
 import subprocess
@@ -131,6 +132,35 @@ def test_ctrl_c_ends_every_endless_command(printed_things: Stage) -> None:
             assert process.returncode in UNENDING[command], (command, error_output)
             assert "Traceback" not in error_output, command
             assert "a defect" not in error_output, command
+
+
+@pytest.mark.parametrize("owner", ["h1", "h2"])
+@pytest.mark.parametrize("command", ["lag", "top --count 1 --every 0.1", "ls -l"])
+def test_a_channel_with_a_copy_is_shown_once_with_the_counters_of_its_owner(
+    command: str, owner: str, printed_things: Stage, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rt, name = printed_things.rt, printed_things.name(f"copied/{owner}")
+    channel = rt.channel(name, max_items=5, host=owner)
+    for _ in range(8):
+        channel.put(b"x")
+    rt.proxy(channel, {"h1": "h2", "h2": "h1"}[owner])
+    assert run([*command.split(), name, "-o", "jsonl"]) == 0
+    [row] = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert row.get("host", owner) == owner
+    assert row.get("accepted", channel.stats().accepted) == channel.stats().accepted
+    rt.remove_proxy(channel, {"h1": "h2", "h2": "h1"}[owner])
+
+
+def test_sub_prints_no_error_when_ctrl_c_closes_its_connection(printed_things: Stage) -> None:
+    names = [printed_things.name(f"read/{number}") for number in range(8)]
+    for name in names:
+        printed_things.rt.channel(name, max_age="1h").put(b"x")
+    words = [sys.executable, "-m", "stampede_rt.cli", "sub", printed_things.name("read/*"), "--from", "oldest"]
+    with started(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert {process.stdout.readline().split("  ")[1].split()[0] for _ in names} == {*names}
+        process.send_signal(signal.SIGINT)
+        assert (process.communicate(timeout=100)[1], process.returncode) == ("", 130)
 
 
 def has_loaded_grpc(pid: int) -> bool:

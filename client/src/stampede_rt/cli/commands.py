@@ -73,6 +73,8 @@ def _run_and_flush(arguments: Sequence[str]) -> int:
 
 
 def _run_client(arguments: Sequence[str]) -> int:
+    if arguments and arguments[0] not in VERBS and not arguments[0].startswith("-"):
+        raise InvalidArgument(_unknown_verb(arguments[0]))
     parsed = parser_of(arguments[0] if arguments else None).parse_args(arguments)
     if "local" in parsed:
         from stampede_rt.cli.instants import show_local
@@ -81,6 +83,14 @@ def _run_client(arguments: Sequence[str]) -> int:
     if "url" not in parsed:
         return int(parsed.run(parsed))
     return _run_in_context(lambda: parsed.run(parsed), has_url=bool(parsed.url))
+
+
+def _unknown_verb(word: str) -> str:
+    from difflib import get_close_matches
+
+    near = get_close_matches(word, [*VERBS, *SERVICE_VERBS], n=1)
+    hint = f"did you mean {near[0]}? " if near else ""
+    return f"there is no verb {word}; {hint}`stampede --help` lists the verbs"
 
 
 def _run_in_context(work: Callable[[], int], *, has_url: bool) -> int:

@@ -55,10 +55,10 @@ def _add_counters(
     rt: Connection, glob: str, channels: list[ChannelInfo], rows: list[dict[str, Any]], form: str
 ) -> None:
     hosts = {channel.host for channel in channels if channel.host_alive}
-    stats = {name: one for host in hosts for name, one in rt.hosted_channels(host, glob).items()}
+    stats = {(name, host): one for host in hosts for name, one in rt.hosted_channels(host, glob).items()}
     for row, channel in zip(rows, channels, strict=True):
         row["created_by"] = channel.created_by or None
-        one = stats.get(row["channel"])
+        one = stats.get((channel.name, channel.host))
         held_bytes = one.held_bytes if one else None
         row["held"] = one.held if one else None
         row["held_bytes"] = bytes_text(held_bytes) if form == "table" and held_bytes is not None else held_bytes

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import add_verb, connected, parse_count
+from stampede_rt.cli.looking import owners_of
 from stampede_rt.cli.output import print_rows
 from stampede_rt.errors import StampedeError
 from stampede_rt.values.timeline import format_duration
@@ -58,6 +59,7 @@ def _for_people(row: dict[str, Any]) -> dict[str, Any]:
 
 def _channels(rt: Connection, glob: str) -> Iterator[dict[str, Any]]:
     """The age of the newest item of each channel. `waiting`: the items that the slowest consumer has not consumed."""
+    owners = owners_of(rt, glob)
     for host in rt.hosts():
         try:
             hosted = rt.hosted_channels(host.name, glob)
@@ -65,7 +67,7 @@ def _channels(rt: Connection, glob: str) -> Iterator[dict[str, Any]]:
             yield _row("host", host.name, None, 0, error.message)
             continue
         for name, stats in hosted.items():
-            if stats.newest is not None:
+            if stats.newest is not None and owners.get(name) == host.name:
                 waiting = max((one.waiting for one in stats.consumers), default=0)
                 yield _row("channel", name, stats.host_time - stats.newest, waiting, None)
 

@@ -18,6 +18,7 @@ from stampede_rt.cli.arguments import (
     parse_count,
     timeout_seconds,
 )
+from stampede_rt.cli.interrupts import interruption
 from stampede_rt.cli.item_text import add_item_options, item_printer, print_dropped
 from stampede_rt.cli.merging import MergedItem, TimeMerge
 from stampede_rt.errors import ChannelNotFound, IncarnationLost, StampedeError, WatchRestart
@@ -175,7 +176,7 @@ class _Stream:
         except ChannelNotFound:
             pass
         except StampedeError as error:
-            if not self._is_over:
+            if not (self._is_over or interruption.requested):  # Ctrl-C closes the connection
                 print(f"stampede: {escaped(error.message)}", file=sys.stderr)
 
     def _read_incarnation(self, name: str, start: Bound | None) -> bool:

@@ -51,6 +51,16 @@ def test_the_error_for_an_impossible_ttl_names_the_argument(ttl: str, capsys: py
     assert "nanos" not in logged
 
 
+@pytest.mark.parametrize(
+    ("word", "hint"), [("lst", "did you mean ls? "), ("supernod", "did you mean supernode? "), ("xyzzy", "")]
+)
+def test_the_error_for_an_unknown_verb_names_a_similar_one(
+    word: str, hint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run([word, "-o", "json"]) == 2
+    assert capsys.readouterr().err == f"stampede: there is no verb {word}; {hint}`stampede --help` lists the verbs\n"
+
+
 def listed(parser: argparse.ArgumentParser) -> dict[str, str | None]:
     """The verbs of a parser and their help texts, in the order of its help."""
     [action] = [one for one in parser._actions if isinstance(one, argparse._SubParsersAction)]
