@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from stampede_rt_runtime.service_settings import ServiceSettings
 from stampede_rt_runtime.settings import HelpRequested, SettingsError, help_of, load_settings, setting
 from stampede_rt_runtime.values import parse_address_text, parse_duration, parse_list, parse_size, parse_target
 
@@ -195,6 +196,15 @@ def test_help_lists_every_flag_with_its_text_and_default() -> None:
     assert "how much (info, debug) [default: info]" in text
     assert "a folder; default: a new one [" not in text, "the text states the default itself"
     assert "STAMPEDE_SAMPLE_LISTEN" in text
+
+
+@pytest.mark.parametrize(("settings", "has_certificates"), [(Sample, False), (ServiceSettings, True)])
+def test_help_names_the_variables_of_certificates_only_if_there_are_such_settings(
+    settings: type[Sample] | type[ServiceSettings], has_certificates: bool
+) -> None:
+    text = " ".join((help_of(settings, service="sample", argv=["--help"]) or "").split())
+    assert ("Certificates come from $STAMPEDE_SAMPLE_TLS_... only" in text) is has_certificates
+    assert text.endswith("and the environment over the file.")
 
 
 def test_help_wins_over_a_missing_setting() -> None:

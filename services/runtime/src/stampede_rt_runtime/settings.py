@@ -232,7 +232,7 @@ def _read_flags(cls: type, known: list[_Setting], service: str, argv: Sequence[s
     parser = _Parser(
         prog=f"stampede {service}",
         description=cls.__doc__,
-        epilog=_epilog(service, known[0]),
+        epilog=_epilog(service, known),
         add_help=False,
         allow_abbrev=False,
     )
@@ -265,14 +265,16 @@ def _sample(known: list[_Setting], service: str) -> str:
     return "\n".join([head, f"[{service}]\n", *(one.sample() for one in known)])
 
 
-def _epilog(service: str, example: _Setting) -> str:
+def _epilog(service: str, known: list[_Setting]) -> str:
+    example = known[0]
     own, shared = example.variables
-    tail = shared.removeprefix("STAMPEDE_")
+    prefix = own.removesuffix(shared.removeprefix("STAMPEDE_"))
+    certificates = f"Certificates come from ${prefix}TLS_... only, because $STAMPEDE_TLS_... is for clients. "
     return (
         f"A setting can also come from the environment: {example.flag} from ${own}, or from ${shared}, which all "
-        f"services read. Certificates come from ${own.removesuffix(tail)}TLS_... only, because $STAMPEDE_TLS_... is "
-        f"for clients. A setting can also be in the TOML file, as {example.name} in its table [{service}] or at the "
-        "top. A flag wins over the environment, and the environment over the file."
+        f"services read. {certificates if any(one.name.startswith('tls-') for one in known) else ''}A setting can also "
+        f"be in the TOML file, as {example.name} in its table [{service}] or at the top. A flag wins over the "
+        "environment, and the environment over the file."
     )
 
 
