@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from shutil import rmtree
 
 import pytest
 
@@ -81,6 +82,9 @@ class MovingHistory(History):
             await former.host.mover.move_all()
         former.host.archive._writer.shutdown()
         former.host.archive.folder.close()
+        if self.dice.random() < 0.3:
+            self.steps.append("the disk of the former owner is lost")
+            rmtree(former.host.path)
 
 
 @pytest.mark.parametrize("seed", range(HISTORIES))

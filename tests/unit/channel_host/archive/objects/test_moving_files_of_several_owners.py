@@ -11,7 +11,7 @@ from stampede_rt_channel_host.archive.objects.moving_files import MovingFiles
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits
 from stampede_rt_channel_host.archive.written_parts import MissingSeqs
 from stampede_rt_channel_host.core.archive import ArchivedRun
-from tests.support.channel_host.object_stores import FakeStore, move, opened_files
+from tests.support.channel_host.object_stores import FakeStore, move, moving_files, opened_files
 from tests.unit.channel_host.archive.test_archive_files import ALL, decode, run_at, seqs, write
 
 ITEMS = [*range(1, 9)]
@@ -106,3 +106,26 @@ async def test_an_owner_that_has_only_the_note_of_a_loss_left_hides_no_items_of_
     assert len(store.objects) == (3 if is_stored else 2)
     window = last.load(found, ALL, decode, lambda: None)
     assert [one.end for one in window.holes] == [19], "the loss is still known"
+
+
+@pytest.mark.asyncio
+async def test_a_host_opens_overlapping_objects_of_its_own_list_while_the_store_is_unreachable(tmp_path: Path) -> None:
+    """In an earlier version, it could serve the channel only when the store was back."""
+    store = FakeStore()
+    files, second = await moved_back(tmp_path, store, 5)
+    await move(second, store)
+    files.find_again(files.stored.find(3), 9)
+    files.stored.note(3)
+    write(files, 9, 1)
+    files.close(None)
+    store.failure = "unreachable"
+    restarted = moving_files(tmp_path / "a", store, cut)
+    restarted.is_listed = False
+    known = restarted.known(3, 1)
+    assert known is not None
+    opened = restarted.open_found(3, 1, known)
+    assert [(one.first_seq, one.end_seq) for one in opened.segments] == [(1, 5), (5, 9), (9, 11)]
+    with pytest.raises(OSError, match="unreachable"):
+        seqs(restarted, restarted.segments)
+    store.failure = ""
+    assert seqs(restarted, restarted.segments) == [*ITEMS, 9, 10]

@@ -11,6 +11,7 @@ from pathlib import Path
 from stampede_rt.values.seq_starts import given_between
 from stampede_rt_channel_host.archive.clean_stop import CleanStop, OwnPart, read_stop
 from stampede_rt_channel_host.archive.kept_blocks import KeptBlocks
+from stampede_rt_channel_host.archive.objects.segment_store import StoreError
 from stampede_rt_channel_host.archive.objects.stored_segments import PackedSegment, StoredSegments
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, OpenedArchive, SegmentFiles
 from stampede_rt_channel_host.core.archive import CutRun, Segment
@@ -70,6 +71,20 @@ class MovingFiles(SegmentFiles):
         self.is_known = self.is_listed = False
         own = None if opened.stop is None else self._own_part(opened.stop.end_seq)
         return opened._replace(stop=opened.stop and opened.stop._replace(end_seq=0), own=own)
+
+    def _without(self, segment: Segment, following: int | None) -> Segment | None:
+        """See `SegmentFiles`. If the host opens the archive while the store is unreachable, the segment may have wider
+        bounds than its remaining items. Reads of the segment need the store anyway.
+        """
+        try:
+            return super()._without(segment, following)
+        except StoreError:
+            if self.is_listed:
+                raise
+            assert following is not None, "otherwise the segment stays whole"
+            items = min(segment.items, given_between(segment.first_seq, following))
+            low, high = (segment.low, segment.high) if items else (None, None)
+            return segment._replace(items=items, low=low, high=high, end_seq=max(following, segment.begin))
 
     def _own_part(self, end_seq: int) -> OwnPart | None:
         """The beginning of the last segments in the folder that follow each other without a hole.

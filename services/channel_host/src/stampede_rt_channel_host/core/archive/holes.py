@@ -6,7 +6,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from typing import NamedTuple
 
-from stampede_rt.values.seq_starts import given_between, given_over
+from stampede_rt.values.seq_starts import begin_of, given_between, given_over
 from stampede_rt.values.timeline import MIN_INSTANT
 from stampede_rt_channel_host.core.archive.segment import PlacedBlock, Segment
 from stampede_rt_channel_host.core.archive.segment_blocks import SegmentBlocks
@@ -77,7 +77,8 @@ def _holes_between(
     assert last is not None, "the segment has blocks"
     assert following is not None, "the segment has blocks"
     first, end = (bisect_left(segments, one.number, key=_number) for one in (earlier, later))
-    yield from _between(last, following, [one.end_seq for one in segments[first:end]])
+    records_loss = _records_loss((*segments[first + 1 : end], later), following.head.first_seq, blocks_of)
+    yield from _between(last, following, [one.end_seq for one in segments[first:end]], records_loss=records_loss)
     for lost_before in _losses(segments, earlier, later, blocks_of):
         # the last items before the loss may have times in the future
         yield _hole(min(last.head.high[0], earlier.last_accepted), lost_before, 0)
@@ -114,6 +115,11 @@ def _last_hole(
     """
     if last_readable is not None and (last := blocks_of(last_readable).items_at(-1)) is not None:
         missing, end = given_between(last.head.end_seq, segments[-1].end_seq), last.head.high[0]
+        border = None if reach.border == LAST_KEY[0] else reach.border
+        if not missing and border is not None and border > end:
+            end_seq, rest = segments[-1].end_seq, segments[bisect_right(segments, last_readable.number, key=_number) :]
+            if begins_anew(last.head.end_seq, end_seq) and not _records_loss(rest, end_seq, blocks_of):
+                yield _hole(min(end, last_readable.last_accepted), border + 1, 0)
         if missing and end <= reach.high:
             yield _hole(end, end if reach.border == LAST_KEY[0] else reach.border + 1, missing)
 
@@ -162,16 +168,35 @@ def _losses(segments: Sequence[Segment], earlier: Segment | None, later: Segment
             yield lost_before
 
 
+def _records_loss(segments: Iterable[Segment], first_seq: int, blocks_of: BlocksOf) -> bool:
+    """Whether one of the segments records the loss before the owner that has accepted the item `first_seq`."""
+    begin = begin_of(1, first_seq + 1)
+    return any(one.begin == begin and blocks_of(one).records_loss for one in segments)
+
+
 def _number(segment: Segment) -> int:
     return segment.number
 
 
-def _between(earlier: PlacedBlock, later: PlacedBlock, ends: Sequence[int] = ()) -> Iterator[Hole]:
-    """The hole between two blocks. `ends`: the end seq of each segment from the one of `earlier` on, up to `later`."""
+def begins_anew(end_seq: int, first_seq: int) -> bool:
+    """Whether an owner has begun at a seq after `end_seq`, and not after `first_seq`, because its former owner was
+    lost. If no segment records this loss, the segment with the record is lost, too.
+    """
+    return begin_of(end_seq, first_seq + 1) > end_seq
+
+
+def _between(
+    earlier: PlacedBlock, later: PlacedBlock, ends: Sequence[int] = (), *, records_loss: bool = False
+) -> Iterator[Hole]:
+    """The hole between two blocks. `ends`: the end seq of each segment from the one of `earlier` on, up to `later`.
+    `records_loss`: a segment records the loss of the owner before the one of `later`.
+    """
     before, after = earlier.head, later.head
     missing = given_over(before.end_seq, after.first_seq, ends)
     if missing:
         yield _hole(before.high[0], after.low[0], missing)
+    elif not records_loss and begins_anew(before.end_seq, after.first_seq):
+        yield _hole(min(before.high[0], before.last_accepted), after.first_accepted, 0)
 
 
 def _hole(before: int, after: int, missing: int) -> Hole:

@@ -19,6 +19,7 @@ from stampede_rt_channel_host.core.archive.block import (
     highest,
     lowest,
 )
+from stampede_rt_channel_host.core.archive.holes import begins_anew
 from stampede_rt_channel_host.core.archive.recorded_items import ArchiveSpan
 from stampede_rt_channel_host.core.archive.segment import PlacedBlock, Segment, summary
 from stampede_rt_channel_host.core.archive.segment_blocks import SegmentBlocks
@@ -153,6 +154,9 @@ def _cut(
         kept = kept.followed_by([first])
     short = summary(segment.number, segment.length, kept)
     lost_before = None if short is not None and short.items else lost_before or blocks.lost_before
+    former = None if short is not None and short.items else next((one for one in reversed(before) if one.items), None)
+    if former is not None and lost_before is None and not blocks.records_loss:
+        lost_before = following.accepted if begins_anew(former.end_seq, following.first_seq) else None
     # the archive lacks the items between the kept items and the next items, if there are any
     if short is not None:
         short = short._replace(first_seq=segment.first_seq, end_seq=max(short.end_seq, following.first_seq))

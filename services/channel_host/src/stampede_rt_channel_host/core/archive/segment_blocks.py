@@ -163,12 +163,21 @@ class SegmentBlocks(Sequence[PlacedBlock]):
         A gap before the first block of items records the loss. A later gap revokes this record, if the host has learned
         that the former owner stopped cleanly.
         """
-        places = self._columns.places
-        first = (self[at].head for at in range(places[0] if places else len(self)))
-        reported = next((one.first_accepted for one in first if _records_loss(one)), None)
+        reported = self._recorded
         if reported is None or any(_records_loss(one.head) and one.head.first_accepted == NOTHING_LOST for one in self):
             return None
         return reported
+
+    @property
+    def records_loss(self) -> bool:
+        """Whether the segment records the loss of the former owner, even if a later gap revokes this record."""
+        return self._recorded is not None
+
+    @property
+    def _recorded(self) -> int | None:
+        places = self._columns.places
+        first = (self[at].head for at in range(places[0] if places else len(self)))
+        return next((one.first_accepted for one in first if _records_loss(one)), None)
 
     @property
     def of_advances(self) -> Sequence[PlacedBlock]:
