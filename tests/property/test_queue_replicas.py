@@ -1,8 +1,9 @@
 """A copy of a queue repeats the owner's steps, and equals the owner after each. It can continue as the next owner.
 
-The scenarios are the same as in `test_queue_against_oracle`. Copies begin at any moment, get steps in parts, get them
-twice, and begin anew. The owner sends some puts to the copies that have all steps, before it stores them. A copy that
-has all steps takes the queue over, and the oracle checks the rest of the scenario.
+The scenarios are the same as in `test_queue_against_oracle`. Copies begin at any moment, from snapshots that are taken
+in pieces while the queue changes. They get steps in parts, get them twice, and begin anew. The owner sends some puts to
+the copies that have all steps, before it stores them. A copy that has all steps takes the queue over, and the oracle
+checks the rest of the scenario.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt_channel_host.copies.queue_messages import parts_of
 from stampede_rt_channel_host.copies.queue_puts import encode_put, read_put
 from stampede_rt_channel_host.copies.queue_steps import ArrivingParts, WholeQueue, step_parts, whole_parts
+from stampede_rt_channel_host.core.channel import Pieces, UnfinishedWork, first_of
+from stampede_rt_channel_host.core.channel.pieces import run_to_end
 from stampede_rt_channel_host.core.dedup import KEPT_NANOS
 from stampede_rt_channel_host.core.queue import (
     AheadPut,
@@ -31,9 +34,11 @@ from stampede_rt_channel_host.core.queue import (
     QueueStep,
     TakerState,
     changes,
-    handoff,
+    queue_snapshot,
 )
+from stampede_rt_channel_host.core.queue.queue_snapshot import QueueSnapshot
 from stampede_rt_channel_host.queues.replicated_queue import ReplicatedQueue
+from tests.oracle.queue import Setup
 from tests.property import test_queue_against_oracle as scenarios
 from tests.property.queue_pair import QueuePair, limits_of
 from tests.property.random_source import RandomSource
@@ -43,7 +48,7 @@ EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "500"))
 
 def contents(core: QueueCore, clock: int) -> list[bytes]:
     """Everything that the queue holds and knows at `clock`, without a call that changes it."""
-    state = handoff.export(core._queue_items, core._queue_leases, core._enqueue_line, clock)
+    state = queue_snapshot.export(core._queue_items, core._queue_leases, core._enqueue_line, clock)
     messages = [*sorted(state.items, key=lambda one: one.seq)]
     acknowledged = [*sorted(state.acknowledged)]
     state = replace(state, items=messages, acknowledged=acknowledged)
@@ -57,14 +62,16 @@ def sent(parts: Iterable[pb.FedQueuePart]) -> list[pb.FedQueuePart]:
 class Copy:
     """A copy at another host, whose clock shows the same time."""
 
-    def __init__(self, pair: ReplicatedPair) -> None:
-        state = handoff.export(pair.core._queue_items, pair.core._queue_leases, pair.core._enqueue_line, pair.clock)
+    def __init__(self, pair: ReplicatedPair, snapshot: QueueSnapshot) -> None:
         self.arriving = ArrivingParts()
         self.arriving.begin_anew()
-        (whole,) = self.arriving.add(sent(whole_parts(state, pair.journal.next_step)))
+        (whole,) = self.arriving.add(sent(whole_parts(snapshot, snapshot.next_step)))
         assert isinstance(whole, WholeQueue)
         self.core = QueueCore.restored(limits_of(pair.oracle.setup), whole.state(), pair.clock, incarnation=7)
         self.journal = self.core.journal(whole.next_step)
+        assert whole.next_step == pair.journal.next_step
+        assert contents(self.core, pair.clock) == contents(pair.core, pair.clock)
+        run_to_end(snapshot.freeing())
 
     def take(self, step: QueueStep, clock: int) -> None:
         for arrived in self.arriving.add(sent(step_parts(step, clock))):
@@ -100,6 +107,7 @@ class ReplicatedPair(QueuePair):
         super().__post_init__()
         self.journal: QueueJournal = self.core.journal()
         self.copies: list[Copy] = []
+        self.begun: list[Pieces[QueueSnapshot]] = []
         self.seen: dict[int, tuple[int, list[bytes]]] = {}
         self.ahead: list[AheadPut] = []
 
@@ -148,6 +156,21 @@ class ReplicatedPair(QueuePair):
             else:  # the whole queue came after the step, and may lack producers that were forgotten since the step
                 assert contents(copy.core, self.clock) == before
 
+    def begin_copy(self) -> None:
+        self.begun.append(self.journal.snapshot(self._noted, 10**6))
+
+    def take_piece(self, at: int) -> None:
+        """Take a piece of a snapshot for a new copy. The copy begins with the last piece."""
+        taken = first_of(self.begun.pop(at))
+        if isinstance(taken, UnfinishedWork):
+            self.begun.append(taken.rest)
+        else:
+            self.copies.append(Copy(self, taken))
+
+    def _noted(self) -> int:
+        self._note()
+        return self.clock
+
     def _oldest(self) -> int:
         return self.journal.next_step - len(self.journal._steps)
 
@@ -157,7 +180,11 @@ class ReplicatedPair(QueuePair):
             self.leave(0, drain=False)
         while self.waiting:
             self.withdraw(0)
-        copy = self.copies.pop() if self.copies else Copy(self)
+        self.begun.clear()
+        while not self.copies:
+            self.begun = self.begun or [self.journal.snapshot(self._noted, 10**6)]
+            self.take_piece(0)
+        copy = self.copies.pop()
         self.feed(copy, 0, 10**9)
         assert copy.journal.next_step == self.journal.next_step
         self.core, self.journal = copy.core, copy.journal
@@ -167,8 +194,13 @@ class ReplicatedPair(QueuePair):
 
 
 def begin(rng: RandomSource, pair: ReplicatedPair) -> None:
-    if len(pair.copies) < 3:
-        pair.copies.append(Copy(pair))
+    if len(pair.copies) + len(pair.begun) < 3:
+        pair.begin_copy()
+
+
+def take_piece(rng: RandomSource, pair: ReplicatedPair) -> None:
+    if pair.begun:
+        pair.take_piece(rng.below(len(pair.begun)))
 
 
 def feed(rng: RandomSource, pair: ReplicatedPair) -> None:
@@ -181,7 +213,10 @@ def lose(rng: RandomSource, pair: ReplicatedPair) -> None:
         pair.copies.pop(rng.below(len(pair.copies)))
 
 
-STEPS = (*scenarios.STEPS, begin, feed, feed, feed, feed, lose, scenarios.hand_over)
+LARGE_SETUPS = (
+    Setup(), Setup(copies=3), Setup(lease=7), Setup(max_deliveries=2, dead_letters=True), Setup(copies=2, lease=7),
+)  # fmt: skip
+STEPS = (*scenarios.STEPS, begin, *[take_piece] * 6, *[feed] * 4, lose, scenarios.hand_over)
 
 
 @pytest.mark.timeout(0 if EXAMPLES > 5000 else 240)
@@ -192,6 +227,7 @@ def test_a_copy_of_a_queue_equals_its_owner_after_each_step_and_can_replace_it(n
     pair = ReplicatedPair(first.pick(scenarios.SETUPS), scenarios.FIRST_CLOCK)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(changes, "WHOLE_LEASES_MAX", first.pick((0, 0, 1, changes.WHOLE_LEASES_MAX)))
+        patch.setattr(queue_snapshot, "MESSAGES_PER_PIECE", first.pick((1, 1, 2, 3)))
         for number in numbers[1:]:
             rng = RandomSource(number)
             step = rng.pick(STEPS)
@@ -201,17 +237,40 @@ def test_a_copy_of_a_queue_equals_its_owner_after_each_step_and_can_replace_it(n
                 pair.journal.takes_changes = False
 
 
+@pytest.mark.timeout(0 if EXAMPLES > 5000 else 240)
+@settings(max_examples=EXAMPLES // 2, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+@given(st.lists(st.integers(0, 2**96), min_size=30, max_size=60))
+def test_a_snapshot_shows_a_queue_with_many_leases_as_it_is_after_the_last_piece(numbers: list[int]) -> None:
+    pair = ReplicatedPair(RandomSource(numbers[0]).pick(LARGE_SETUPS), scenarios.FIRST_CLOCK)
+    pair.enqueue([8] * 20, 5, 1, None, "")
+    for position in range(2):
+        pair.attach(1 + position, 50)
+        pair.grant(position, 9)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(queue_snapshot, "MESSAGES_PER_PIECE", 1)
+        for number in numbers[1:]:
+            if not pair.begun:
+                pair.copies.clear()
+                pair.begin_copy()
+            rng = RandomSource(number)
+            rng.pick(scenarios.STEPS_OF_ONE_OWNER)(rng, pair)
+            pair.take_piece(0)
+
+
 def test_a_copy_begins_after_the_owner_forgot_a_producer_and_gets_an_old_step() -> None:
     pair = ReplicatedPair(scenarios.SETUPS[1], scenarios.FIRST_CLOCK)
     pair.enqueue([8], 5, 1, None, "")
     pair.tick(2 * KEPT_NANOS)
-    pair.copies.append(Copy(pair))
+    pair.begin_copy()
+    pair.take_piece(0)
     pair.feed(pair.copies[0], 1, 10**6)
 
 
 def test_a_put_goes_to_a_copy_before_the_owner_stores_it() -> None:
     pair = ReplicatedPair(scenarios.SETUPS[1], scenarios.FIRST_CLOCK)
-    pair.copies += [Copy(pair), Copy(pair)]
+    for _ in range(2):
+        pair.begin_copy()
+        pair.take_piece(0)
     pair.enqueue([8, 8], 5, 1, None, "")
     assert [copy.journal.next_step for copy in pair.copies] == [1, 1]
     pair.feed(pair.copies[0], 0, 10**6)
@@ -227,7 +286,10 @@ def test_a_put_goes_to_a_copy_before_the_owner_stores_it() -> None:
 
 def test_a_copy_refuses_a_step_after_a_missing_one() -> None:
     pair = ReplicatedPair(scenarios.SETUPS[1], scenarios.FIRST_CLOCK)
-    copy = Copy(pair)
+    pair.begin_copy()
+    pair.take_piece(0)
+    (copy,) = pair.copies
+    pair.copies.clear()
     pair.enqueue([8], 5, 1, None, "")
     pair.enqueue([8], 5, 2, None, "")
     steps = pair.journal.steps_from(2, 10**9)

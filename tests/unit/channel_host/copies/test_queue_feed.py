@@ -13,12 +13,14 @@ import pytest
 
 from stampede_rt.errors import InvalidArgument, Unavailable
 from stampede_rt.v1 import migration_service_pb2 as pb
+from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.copies import queue_feed
 from stampede_rt_channel_host.copies.queue_feed import QueueFeedStream
 from stampede_rt_channel_host.copies.queue_puts import read_answer
 from stampede_rt_runtime.sockets.dialing import HostStream
 
 LIMIT_S = 20
+TO_REPLICA = b"o" * 16, b"h" * 16, "localhost:1", PieceScheduler()
 
 
 class Rig:
@@ -32,7 +34,7 @@ class Rig:
         journal = SimpleNamespace(next_step=1, steps_from=lambda first, most: self._steps[first - 1 :])
         hosted: Any = SimpleNamespace(record=SimpleNamespace(message=b""))
         replication: Any = SimpleNamespace(journal=journal)
-        self._feed = QueueFeedStream(hosted, replication, lambda: 0, b"o" * 16, b"h" * 16, "localhost:1")
+        self._feed = QueueFeedStream(hosted, replication, lambda: 0, *TO_REPLICA)
         self._sending = asyncio.ensure_future(self._feed._send_steps(self))
 
     async def write(self, request: pb.FeedQueueRequest) -> None:
@@ -81,7 +83,7 @@ def test_a_copy_continues_only_if_its_owner_has_all_steps_of_the_copy(
     journal = SimpleNamespace(next_step=12, steps_from=lambda first, most: [] if 8 <= first <= 12 else None)
     replication: Any = SimpleNamespace(journal=journal, since_epoch=4, start=10, diverged_host_ids=set())
     hosted: Any = SimpleNamespace(queue=SimpleNamespace(incarnation=5))
-    feed = QueueFeedStream(hosted, replication, lambda: 0, b"owner", b"replica", "replica:1")
+    feed = QueueFeedStream(hosted, replication, lambda: 0, b"owner", b"replica", "replica:1", PieceScheduler())
     place = pb.FeedQueueResponse(next_step=next_step, incarnation=incarnation, owner_epoch=owner_epoch)
     assert feed._continues(place) is continues
 
@@ -98,7 +100,7 @@ async def test_a_replica_of_an_earlier_release_begins_anew_if_it_does_not_unders
         begin_anew=AsyncMock(return_value=False), diverged_host_ids=set(),
     )  # fmt: skip
     hosted: Any = SimpleNamespace(queue=SimpleNamespace(incarnation=5))
-    feed = QueueFeedStream(hosted, replication, lambda: 0, b"owner", b"replica", "replica:1")
+    feed = QueueFeedStream(hosted, replication, lambda: 0, b"owner", b"replica", "replica:1", PieceScheduler())
     place = pb.FeedQueueResponse(next_step=10, incarnation=5, owner_epoch=4, takes_changes=takes_changes)
     with nullcontext() if continues else pytest.raises(Unavailable, match="begins anew"):
         await feed._begin(None, place)
@@ -134,7 +136,7 @@ async def test_damaged_bytes_end_the_feed_with_an_error_after_which_the_keeper_t
         begin_anew=lambda host_id: asyncio.get_running_loop().create_future(),
     )  # fmt: skip
     hosted: Any = SimpleNamespace(record=SimpleNamespace(message=b""))
-    feed = QueueFeedStream(hosted, replication, lambda: 0, b"o" * 16, b"h" * 16, "localhost:1")
+    feed = QueueFeedStream(hosted, replication, lambda: 0, *TO_REPLICA)
     channel: Any = DamagedReplica(whole_answers)
     with pytest.raises(InvalidArgument, match="localhost:1 sent bytes that are no FeedQueueResponse"):
         await feed.run(channel)
@@ -177,7 +179,7 @@ class SameTurnRig:
         journal = SimpleNamespace(next_step=1, steps_from=self._steps_from)
         replication: Any = SimpleNamespace(journal=journal, report=lambda host, feed, step: self.reports.append(step))
         hosted: Any = SimpleNamespace(record=SimpleNamespace(message=b""))
-        self.feed = QueueFeedStream(hosted, replication, lambda: 0, b"o" * 16, b"h" * 16, "localhost:1")
+        self.feed = QueueFeedStream(hosted, replication, lambda: 0, *TO_REPLICA)
         self.call = SameTurnStream()
         self.tasks = [
             asyncio.ensure_future(one) for one in (self.feed._send_steps(self.call), self.feed._read(self.call))

@@ -16,6 +16,7 @@ from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1 import queue_pb2
 from stampede_rt.values.queueing import QueuePolicy
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
+from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.copies.queue_feed import QueueFeedStream
 from stampede_rt_channel_host.copies.queue_feed_servicer import QueueFeeds, _Feed
 from stampede_rt_channel_host.copies.queue_messages import PART_BYTES
@@ -80,7 +81,8 @@ class Both:
         self.replication = self.hosted.replication
         self.replication.know([KnownReplica(REPLICA, 1, True)])
         self.call = SameTurnStream()
-        self.feed = QueueFeedStream(self.hosted, self.replication, lambda: 0, OWNER, REPLICA, "replica:1")
+        about = lambda: 0, OWNER, REPLICA, "replica:1", PieceScheduler()
+        self.feed = QueueFeedStream(self.hosted, self.replication, *about)
         self.replica = Replica(self.feed.next_step)
         self._takes_puts = takes_puts
         self.tasks: list[asyncio.Task[None]] = []
@@ -194,7 +196,7 @@ async def test_a_replica_that_got_a_message_which_the_owner_could_not_store_begi
         assert not both.replication.is_fed(REPLICA)
         with pytest.raises(Unavailable, match="begin anew"):
             await asyncio.wait_for(both.tasks[0], LIMIT_S)
-        feed = QueueFeedStream(both.hosted, both.replication, lambda: 0, OWNER, REPLICA, "replica:1")
+        feed = QueueFeedStream(both.hosted, both.replication, lambda: 0, OWNER, REPLICA, "replica:1", PieceScheduler())
         assert not feed._continues(both.replica.feed.place())
         both.replication.add(REPLICA, feed)
         both.replication.report(REPLICA, feed, feed.next_step)

@@ -13,6 +13,7 @@ from google.protobuf.message import DecodeError
 from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import migration_service_pb2 as pb
+from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.cluster.records import queue_message
 from stampede_rt_channel_host.cluster.task_failures import first_failure
 from stampede_rt_channel_host.copies.queue_messages import PART_BYTES
@@ -35,13 +36,17 @@ SAME_TURN_BYTES_MAX = 2**18  # a larger step is left to the task of the feed
 
 
 class QueueFeedStream:
-    """Feeds one replica of a queue over one stream. `target`: the gatekeeper of the replica's host."""
+    """Feeds one replica of a queue over one stream. `target`: the gatekeeper of the replica's host.
+
+    `scheduler` does long work in pieces.
+    """
 
     def __init__(
         self, hosted: HostedQueue, replication: QueueReplication, now: Callable[[], int], owner_host_id: bytes,
-        host_id: bytes, target: str,
+        host_id: bytes, target: str, scheduler: PieceScheduler,
     ) -> None:  # fmt: skip
         self._hosted = hosted
+        self._scheduler = scheduler
         self._replication = replication
         self._now = now
         self._owner_host_id = owner_host_id
@@ -155,11 +160,15 @@ class QueueFeedStream:
             return
         if not await replication.begin_anew(self._host_id):
             raise Unavailable("the directory has not noted yet that the replica begins anew")
-        state, self.next_step = self._hosted.snapshot()
-        parts, begins_anew = whole_parts(state, self.next_step), True
-        while (part := await asyncio.to_thread(next, parts, None)) is not None:
-            await self._write(call, self._request(begins_anew=begins_anew, parts=[part]))
-            begins_anew = False
+        snapshot = await self._scheduler.do(self._hosted.snapshot(replication))
+        self.next_step = snapshot.next_step
+        parts, begins_anew = whole_parts(snapshot, snapshot.next_step), True
+        try:
+            while (part := await asyncio.to_thread(next, parts, None)) is not None:
+                await self._write(call, self._request(begins_anew=begins_anew, parts=[part]))
+                begins_anew = False
+        finally:
+            self._scheduler.begin(snapshot.freeing())
 
     def _continues(self, place: pb.FeedQueueResponse) -> bool:
         """Whether the copy has only steps of this owner, and the journal has all later ones."""

@@ -24,12 +24,14 @@ from stampede_rt_channel_host.core.queue import (
     QueueTally,
     SeqRange,
 )
+from stampede_rt_channel_host.core.queue.queue_snapshot import QueueSnapshot
 
+QueueValues = QueueHandoff | QueueSnapshot
 PART_BYTES = 2**17  # half of the longest message that a host takes over gRPC
 _COUNTS = tuple(one.name for one in fields(QueueTally))
 
 
-def parts_of(state: QueueHandoff, permit: bytes = b"", next_step: int = 0) -> Iterator[pb.HandOverQueueResponse]:
+def parts_of(state: QueueValues, permit: bytes = b"", next_step: int = 0) -> Iterator[pb.HandOverQueueResponse]:
     """The queue in parts of about PART_BYTES. The first one has the facts, and the last one `ends` with the permit.
 
     `next_step`: the number of its next step, or 0 if it has no replicas.

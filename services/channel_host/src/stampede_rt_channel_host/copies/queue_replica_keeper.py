@@ -123,4 +123,4 @@ class _KeptQueue(KeptReplicas):
         if not target or not self.is_served():
             return None
         now = self._queues.now
-        return QueueFeedStream(self._hosted, self._steps, now, self._host_id, host_id, target)
+        return QueueFeedStream(self._hosted, self._steps, now, self._host_id, host_id, target, self._queues.scheduler)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1 import subject_pb2
-from stampede_rt_channel_host.copies.queue_messages import PART_BYTES, ArrivingQueue, parts_of, seq_ranges
+from stampede_rt_channel_host.copies.queue_messages import PART_BYTES, ArrivingQueue, QueueValues, parts_of, seq_ranges
 from stampede_rt_channel_host.core.queue import QueueHandoff, QueueStep
 
 STEPS_PER_REQUEST = 64  # the copy repeats them in one turn of its event loop; each takes about 30 us
@@ -23,8 +23,8 @@ class WholeQueue(NamedTuple):
     next_step: int
 
 
-def whole_parts(state: QueueHandoff, next_step: int) -> Iterator[pb.FedQueuePart]:
-    """The parts of the whole queue. A thread may take them, because the owner does not change `state`."""
+def whole_parts(state: QueueValues, next_step: int) -> Iterator[pb.FedQueuePart]:
+    """The parts of the whole queue. A thread may take them, because nothing changes `state`."""
     for content in parts_of(state):
         yield pb.FedQueuePart(content=content, next_step=next_step if content.ends else 0)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
 from stampede_rt.errors import InvalidArgument
@@ -104,6 +104,12 @@ class KnownProducer:
                 yield first, RunOutcome(items, items, (part,), (), time)
             elif first in self.odd:
                 yield first, self.odd[first]
+
+    def copied(self) -> KnownProducer:
+        """A copy for `runs`."""
+        copy = KnownProducer.__new__(KnownProducer)
+        copy._columns, copy._begin, copy.odd, copy.owner = self._columns[:], self._begin, {**self.odd}, self.owner
+        return copy
 
     def find(self, producer_id: int, first_number: int, end: int, since: int) -> RunOutcome | None:
         """The outcome of the run with exactly these numbers, if it was recorded after `since`; otherwise None.
@@ -226,11 +232,7 @@ class RetryWindow:
 
         Each producer's runs come in the order in which they were recorded.
         """
-        for producer_id, producer in self.producers.items():
-            latest = dict(reversed(list(producer.runs())))
-            for first_number, outcome in latest.items():
-                if outcome.time > now - KEPT_NANOS:
-                    yield KeptRun(producer_id, first_number, outcome, producer.owner)
+        return kept_runs(self.producers, now)
 
     def find(self, producer_id: int, first_number: int, items: int, now: int) -> RunOutcome | None:
         """The former outcome of a repeated run, or None if the window does not know the run.
@@ -309,6 +311,15 @@ class RetryWindow:
         """The time at which `expire` next forgets a producer if nothing is put, or None if the window is empty."""
         longest_silent = next(iter(self.producers.values()), None)
         return None if longest_silent is None else longest_silent.latest + KEPT_NANOS
+
+
+def kept_runs(producers: Mapping[int, KnownProducer], now: int) -> Iterator[KeptRun]:
+    """See `RetryWindow.kept`."""
+    for producer_id, producer in producers.items():
+        latest = dict(reversed(list(producer.runs())))
+        for first_number, outcome in latest.items():
+            if outcome.time > now - KEPT_NANOS:
+                yield KeptRun(producer_id, first_number, outcome, producer.owner)
 
 
 def _odd_bytes(outcome: RunOutcome) -> int:

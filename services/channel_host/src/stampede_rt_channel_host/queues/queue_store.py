@@ -68,7 +68,7 @@ class QueueStore:
         self._directory = directory
         self.memory = memory
         self._lease_held = lease_held
-        self._scheduler = scheduler
+        self.scheduler = scheduler
         self._on_dead_letters = on_dead_letters
         self._queues: dict[bytes, HostedQueue] = SortedDict()
         self._single_flight = SingleFlight()
@@ -135,7 +135,7 @@ class QueueStore:
                 hosted = self._queues.get(queue_id)
                 if hosted is not None and hosted.registration < registration:  # a newer record may have come meanwhile
                     self._compare(hosted, listed.get(queue_id), left, is_complete=is_complete)
-            self._scheduler.begin(one_after_another(left))  # together, because each `begin` may start a task
+            self.scheduler.begin(one_after_another(left))  # together, because each `begin` may start a task
             yield
 
     def _compare(
@@ -206,7 +206,7 @@ class QueueStore:
 
         If there are many, the last ones end later.
         """
-        self._scheduler.begin(self._ending(error))
+        self.scheduler.begin(self._ending(error))
 
     def _ending(self, error: StampedeError) -> Pieces[None]:
         for ids in batched_keys(self._queues, QUEUES_PER_PIECE):
@@ -331,7 +331,7 @@ class QueueStore:
 
     def forget(self, queue_id: bytes, error: StampedeError) -> None:
         """Drop the queue, if it is here. Its callers get `error`."""
-        self._scheduler.begin(one_after_another(self._drop(queue_id, error)))
+        self.scheduler.begin(one_after_another(self._drop(queue_id, error)))
 
     def _drop(self, queue_id: bytes, error: StampedeError) -> list[Pieces[None]]:
         """Drop the queue, and end the calls of some of its callers with `error`. Returns the rest of this work."""

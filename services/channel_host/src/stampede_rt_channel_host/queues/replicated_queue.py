@@ -9,14 +9,16 @@ from collections.abc import Callable, Collection, Sequence
 from functools import partial
 
 from stampede_rt.errors import Unavailable
-from stampede_rt_channel_host.core.queue import Enqueue, QueueCore, QueueHandoff, SealRun, TakerState
+from stampede_rt_channel_host.core.channel import Pieces
+from stampede_rt_channel_host.core.queue import Enqueue, QueueCore, SealRun, TakerState
+from stampede_rt_channel_host.core.queue.queue_snapshot import QueueSnapshot
 from stampede_rt_channel_host.core.records import RecordedQueue
 from stampede_rt_channel_host.queues.queue_content import QueueContent, QueueMove
 from stampede_rt_channel_host.queues.queue_replication import QueueReplication, waits_for_replicas
 from stampede_rt_channel_host.queues.refusals import display_name
 
 REPLICATED_SECONDS_MAX = 1.0
-ACKNOWLEDGED_CHUNKS_MAX = 64  # a new replica gets this many chunks, with 16,384 deliveries, which take 10 ms
+ACKNOWLEDGED_CHUNKS_MAX = 64  # a new replica gets this many chunks, with 16,384 deliveries
 
 
 class ReplicatedQueue(ABC):
@@ -85,12 +87,19 @@ class ReplicatedQueue(ABC):
                 replication.send_ahead(put)
         return body
 
-    def snapshot(self) -> tuple[QueueHandoff, int]:
-        """The whole queue for a replica, and the number of its next step."""
-        assert self.replication is not None, "the queue has replicas"
-        state = self.queue.export(self._now(), ACKNOWLEDGED_CHUNKS_MAX)
-        self.follow_up()
-        return state, self.replication.journal.next_step
+    def snapshot(self, replication: QueueReplication) -> Pieces[QueueSnapshot]:
+        """The whole queue for a replica, as it is when the last piece ends. Raises Unavailable if the queue no longer
+        has these replicas.
+        """
+        return replication.journal.snapshot(partial(self._note_step, replication), ACKNOWLEDGED_CHUNKS_MAX)
+
+    def _note_step(self, replication: QueueReplication) -> int:
+        """Make a step of all changes. Returns the time."""
+        if self.replication is not replication:
+            raise Unavailable(f"queue {display_name(self.record)} no longer waits for its replicas")
+        now = self._now()
+        replication.changed(now)
+        return now
 
     async def wait_until_replicated(self) -> int:
         """Wait until the replicas have the held queue. Returns the number of its next step; 0 without replicas.

@@ -9,13 +9,17 @@ from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.v1 import queue_pb2
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.cluster.records import recorded_queue
+from stampede_rt_channel_host.core.channel.pieces import abandoning, run_to_end
 from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.queue import Batch, Enqueue, QueueCore, QueueLimits, TakerState
 from stampede_rt_channel_host.core.queue.dispatcher import ITEMS_DISPATCHED_MAX
 from stampede_rt_channel_host.core.queue.enqueue_line import DROPPED_PER_RUN_MAX, OFFERED_PER_CALL_MAX
 from stampede_rt_channel_host.core.queue.queue import EMPTIED_PER_PIECE, ENDED_PER_CALL_MAX
+from stampede_rt_channel_host.core.queue.queue_snapshot import MESSAGES_PER_PIECE
 from stampede_rt_channel_host.queues.hosted_queue import STREAMS_PER_PIECE, HostedQueue
 from tests.support.channel_host.queue_cores import Core
+
+LEASE_NANOS = 60 * 10**9
 
 
 def test_a_batch_holds_a_bounded_number_of_messages_however_small_they_are() -> None:
@@ -176,3 +180,51 @@ async def test_the_streams_of_takers_are_ended_in_pieces() -> None:
         hosted.attach(TakerState(taker_id), Stream())
     counts = [len(ended) for _ in hosted.ending(Unavailable("gone"))]
     assert counts == [STREAMS_PER_PIECE * pieces for pieces in (1, 2, 3, 3)]
+
+
+def leased(messages: int) -> Core:
+    """A queue whose messages are all leased to the taker 1."""
+    core = Core(max_items=messages)
+    for _ in range(messages):
+        core.put(1)
+    core.taker(1, messages)
+    while core.dispatched():
+        core.queue.tick(core.now)
+    assert core.counted("leased") == (messages,)
+    return core
+
+
+def test_a_piece_of_a_snapshot_copies_a_bounded_number_of_messages() -> None:
+    core = leased(10 * MESSAGES_PER_PIECE)
+    pieces = core.queue.journal().snapshot(lambda: core.now, 1)
+    assert sum(1 for _ in pieces) == 10
+
+
+def test_a_snapshot_ends_while_each_piece_finds_many_changed_messages() -> None:
+    core = leased(10 * MESSAGES_PER_PIECE)
+    journal = core.queue.journal()
+    first = min(lease.order for lease in core.queue._queue_leases.leases.values())
+
+    def note() -> int:
+        for delivery_id in range(first, first + 2 * MESSAGES_PER_PIECE):
+            core.extend(1, delivery_id, LEASE_NANOS)
+        journal.note(core.now)
+        core.now += 1
+        return core.now
+
+    snapshot = run_to_end(journal.snapshot(note, 1))
+    leases = [lease for item in snapshot.items for lease in item.leases]
+    assert len(leases) == 10 * MESSAGES_PER_PIECE
+    assert {one.lease_nanos for one in leases[: 2 * MESSAGES_PER_PIECE]} == {LEASE_NANOS - 1}, "as of the last piece"
+    assert [*snapshot.freeing()]
+    assert [*snapshot.held] == []
+
+
+def test_a_dropped_snapshot_frees_its_messages_in_pieces() -> None:
+    core = leased(10 * MESSAGES_PER_PIECE)
+    journal = core.queue.journal()
+    pieces = journal.snapshot(lambda: core.now, 1)
+    for _ in range(9):
+        next(pieces)
+    assert sum(1 for _ in abandoning(pieces)) >= 2
+    assert journal._snapshots == []

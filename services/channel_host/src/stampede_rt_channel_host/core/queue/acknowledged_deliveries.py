@@ -70,14 +70,18 @@ class AcknowledgedDeliveries:
         chunk = self._chunks.get(number)
         return chunk is not None and chunk.takers[offset] == taker_id and chunk.times[offset] > now - KEPT_NANOS
 
-    def all(self, now: int, chunks_max: int | None = None) -> Iterator[AcknowledgedDelivery]:
-        """The acknowledgements of the last 10 minutes, by chunks. The chunk with the latest one comes last.
+    def latest(self, chunks_max: int | None = None) -> AcknowledgedDeliveries:
+        """A copy of the latest chunks, at most `chunks_max`, for `all`. A chunk has up to 256 acknowledgements."""
+        copied = AcknowledgedDeliveries()
+        for number, chunk in islice(reversed(self._chunks.items()), chunks_max):
+            own = copied._chunks[number] = _Chunk()
+            own.takers, own.times = chunk.takers[:], chunk.times[:]
+            copied._chunks.move_to_end(number, last=False)
+        return copied
 
-        `chunks_max`: only the acknowledgements of the latest chunks, at most this many chunks. A chunk has up to 256
-        acknowledgements.
-        """
-        first = 0 if chunks_max is None else max(0, len(self._chunks) - chunks_max)
-        for number, chunk in islice(self._chunks.items(), first, None):
+    def all(self, now: int) -> Iterator[AcknowledgedDelivery]:
+        """The acknowledgements of the last 10 minutes, by chunks. The chunk with the latest one comes last."""
+        for number, chunk in self._chunks.items():
             for offset, taker_id in enumerate(chunk.takers):
                 if taker_id and chunk.times[offset] > now - KEPT_NANOS:
                     yield AcknowledgedDelivery(number * _IDS_PER_CHUNK + offset, taker_id, chunk.times[offset])

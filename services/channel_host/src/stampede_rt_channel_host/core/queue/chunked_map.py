@@ -54,6 +54,12 @@ class ChunkedMap(Generic[Thing]):
         chunk = self._chunks.get(number >> _BITS)
         return None if chunk is None else chunk.get(number)
 
+    def emptying(self) -> Iterator[None]:
+        """Remove all entries, some at each step of the iteration."""
+        while self._chunks:
+            self._size -= len(self._chunks.popitem()[1])
+            yield
+
     def values(self, from_number: int | None = None) -> Iterator[Thing]:
         """The things in the order of their numbers, from `from_number` on.
 

@@ -7,9 +7,9 @@ streams the address of the new host. Durations replace instants, because two hos
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain, groupby
+from itertools import chain
 from typing import NamedTuple
 
 from stampede_rt_channel_host.core.dedup import KeptRun
@@ -82,31 +82,6 @@ class QueueHandoff:
     message_ids: Sequence[KnownMessage]
 
 
-def export(
-    queue_items: QueueItems,
-    queue_leases: QueueLeases,
-    enqueue_line: EnqueueLine,
-    now: int,
-    chunks_max: int | None = None,
-) -> QueueHandoff:
-    """The queue as of `now`. The result shares no mutable object with the queue."""
-    tracked = _ranges(item.seq for item in queue_items.tracked.values())
-    fresh = (SeqRange(run.first_seq + position, run.end_seq - 1) for run, position in queue_items.fresh())
-    return QueueHandoff(
-        next_seq=queue_items.next_seq,
-        next_delivery_id=queue_leases.next_delivery_id,
-        tally=queue_items.tally.copied(),
-        runs=[run_with_age(run, now) for run in _runs(queue_items)],
-        held=_joined(chain(tracked, fresh)),
-        items=[
-            state_of(item, queue_leases, now) for item in chain(_not_leaving(queue_items), queue_items.leaving.values())
-        ],
-        acknowledged=[one._replace(time=now - one.time) for one in queue_leases.acknowledged.all(now, chunks_max)],
-        producers=[aged(kept, now) for kept in enqueue_line.retries.kept(now)],
-        message_ids=[known._replace(time=now - known.time) for known in enqueue_line.message_ids.all(now)],
-    )
-
-
 def restore(
     state: QueueHandoff, queue_items: QueueItems, queue_leases: QueueLeases, enqueue_line: EnqueueLine, now: int
 ) -> None:
@@ -149,7 +124,7 @@ def fresh_run_of(aged_run: QueuedRun, now: int) -> QueuedRun:
 
 
 def aged(kept: KeptRun, now: int) -> KeptRun:
-    """The run with its age in place of its time (for `export`), or its time in place of its age (for `restore`)."""
+    """The run with its age in place of its time for another host, or its time in place of its age for `restore`."""
     return kept._replace(outcome=kept.outcome._replace(time=now - kept.outcome.time))
 
 
@@ -162,43 +137,6 @@ def _fresh_from(state: QueueHandoff) -> int:
     if not state.held or state.held[-1].last != state.next_seq - 1:
         return state.next_seq
     return max(state.held[-1].first, max((one.seq for one in state.items), default=0) + 1)
-
-
-def _runs(queue_items: QueueItems) -> Iterator[QueuedRun]:
-    """Each run with a held message, once."""
-    last: QueuedRun | None = None
-    for run in chain((item.run for item in queue_items.tracked.values()), (run for run, _ in queue_items.fresh())):
-        if run is not last:
-            last = run
-            yield run
-
-
-def _ranges(seqs: Iterable[int]) -> list[SeqRange]:
-    """The ranges of ascending seqs."""
-    found = []
-    for _, group in groupby(enumerate(seqs), key=lambda pair: pair[1] - pair[0]):
-        members = [seq for _, seq in group]
-        found.append(SeqRange(members[0], members[-1]))
-    return found
-
-
-def _joined(ranges: Iterable[SeqRange]) -> list[SeqRange]:
-    """The ranges, ascending. Ranges without a gap between them are joined."""
-    found: list[SeqRange] = []
-    for one in ranges:
-        if found and found[-1].last + 1 == one.first:
-            found[-1] = SeqRange(found[-1].first, one.last)
-        else:
-            found.append(one)
-    return found
-
-
-def _not_leaving(queue_items: QueueItems) -> Iterator[TrackedItem]:
-    """The messages with a history that do not wait for a move to the dead-letter queue."""
-    for item in queue_items.tracked.values():
-        has_history = item.returned or item.leases or item.acknowledged or item.due is not None
-        if has_history and not item.is_leaving:
-            yield item
 
 
 def state_of(item: TrackedItem, queue_leases: QueueLeases, now: int) -> ItemState:

@@ -8,10 +8,12 @@ replicas in sync holds for both, because this rule compares numbers only.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from itertools import chain, islice
 from typing import NamedTuple
 
 from stampede_rt.errors import InvalidArgument
+from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.queue.ahead_put import AheadPut
 from stampede_rt_channel_host.core.queue.changes import QueueChanges
 from stampede_rt_channel_host.core.queue.enqueue import Enqueue
@@ -29,6 +31,7 @@ from stampede_rt_channel_host.core.queue.handoff import (
 from stampede_rt_channel_host.core.queue.items import TrackedItem
 from stampede_rt_channel_host.core.queue.queue_items import QueueItems, QueueTally
 from stampede_rt_channel_host.core.queue.queue_leases import QueueLeases
+from stampede_rt_channel_host.core.queue.queue_snapshot import QueueSnapshot
 
 JOURNAL_BYTES_MAX = 64 * 2**20
 """The most bytes of the steps that a queue keeps for its replicas. A replica that lacks older steps begins anew."""
@@ -107,6 +110,7 @@ class QueueJournal:
         self.takes_changes = True
         self.next_step = next_step
         self.size_bytes = 0
+        self._snapshots: list[QueueSnapshot] = []
 
     def note(self, now: int, put: AheadPut | None = None) -> bool:
         """Make a step of all changes since the last step. Returns False if nothing has changed.
@@ -256,6 +260,8 @@ class QueueJournal:
 
     def _append(self, step: QueueStep | _PutStep, tally: QueueTally) -> None:
         """Add a step. `tally`: the tally after it; nothing changes this object."""
+        for snapshot in self._snapshots:
+            snapshot.changed(self._changes)
         self._changes.clear()
         self._tally = tally
         self.next_step = step.number + 1
@@ -264,6 +270,25 @@ class QueueJournal:
         self.size_bytes += size_bytes
         while self.size_bytes > self.bytes_max and len(self._steps) > 1:
             self.size_bytes -= self._steps.popleft()[1]
+
+    def snapshot(self, note: Callable[[], int], chunks_max: int) -> Pieces[QueueSnapshot]:
+        """The whole queue, right after the step that is the last one when the last piece ends.
+
+        `note` makes a step of all changes, and returns the time by the host's clock. Its errors end the work.
+        `chunks_max`: see `QueueSnapshot.take_some`.
+        """
+        snapshot = QueueSnapshot(self._queue_items, self._queue_leases, self._enqueue_line)
+        self._snapshots.append(snapshot)
+        try:
+            while not snapshot.take_some(note(), chunks_max):
+                yield
+            snapshot.next_step = self.next_step
+        except Exception:
+            yield from snapshot.freeing()
+            raise
+        finally:
+            self._snapshots.remove(snapshot)
+        return snapshot
 
     def stop(self) -> None:
         """Stop noting changes, because the queue no longer has replicas."""

@@ -18,6 +18,7 @@ from stampede_rt_channel_host.core.queue.journal import QueueJournal
 from stampede_rt_channel_host.core.queue.limits import QueueLimits
 from stampede_rt_channel_host.core.queue.queue_items import QueueItems
 from stampede_rt_channel_host.core.queue.queue_leases import QueueLeases
+from stampede_rt_channel_host.core.queue.queue_snapshot import export
 from stampede_rt_channel_host.core.queue.takers import TakerState
 from stampede_rt_channel_host.core.queue.values import (
     Batch,
@@ -67,10 +68,10 @@ class QueueCore:
         """The whole queue as values, without waiting runs and takers.
 
         For a move, the caller first calls `withdraw` for all waiting runs and `leave` for all takers. `chunks_max`: see
-        `AcknowledgedDeliveries.all`.
+        `AcknowledgedDeliveries.latest`.
         """
         clock = self._due_work.tick(now)
-        return handoff.export(self._queue_items, self._queue_leases, self._enqueue_line, clock, chunks_max)
+        return export(self._queue_items, self._queue_leases, self._enqueue_line, clock, chunks_max)
 
     @classmethod
     def restore(

@@ -182,13 +182,10 @@ class QueueItems:
         if self.changes is not None:
             self.changes.note(item, delivery_id)
 
-    def fresh(self) -> Iterator[tuple[QueuedRun, int]]:
-        """The runs with fresh messages, each with the position of its first fresh message."""
-        if self.fresh_run() is not None:
-            position = self._fresh_position
-            for run in self._fresh:
-                yield run, position
-                position = 0
+    def fresh_runs(self) -> tuple[list[QueuedRun], int]:
+        """The runs with fresh messages, and the position of the first fresh message in the first run."""
+        self.fresh_run()  # drops a first run without a fresh message
+        return [*self._fresh], self._fresh_position
 
     @property
     def available_items(self) -> int:
