@@ -36,6 +36,7 @@ class ChannelCallers:
         self.cluster, self.channel_id, self.policy, self.rng = cluster, channel_id, policy, rng
         self.clock, self.pause_seconds = cluster.clock, pause_seconds
         self.acknowledged: set[Item] = set()
+        self._repeated: set[Item] = set()  # their acks may be for an earlier put
         self.last_ack_s: dict[int, float] = {}  # by incarnation
         self.known: dict[int, dict[Item, float]] = {}  # by incarnation: when each item was first acknowledged or seen
 
@@ -51,10 +52,12 @@ class ChannelCallers:
         """Put items one after the other."""
         number = 1
         while True:
+            item = producer, number
             with suppress(StampedeError, TimeoutError):
                 async with asyncio.timeout(ACK_SECONDS + 1):
                     if await self._put(producer, number):
                         number += 1
+            self._repeated.add(item)
             await self.pause()
 
     async def pause(self) -> None:
@@ -82,10 +85,18 @@ class ChannelCallers:
             ack = await held.due()
         if not host.alive or ack.HasField("error") or not ack.HasField("first_seq"):
             return False
+        if (producer, number) not in self._repeated:
+            self._check_replicas(host)
         self.acknowledged.add((producer, number))
         self.last_ack_s[ack.incarnation] = self.clock.now_s
         self._know(ack.incarnation, (producer, number))
         return True
+
+    def _check_replicas(self, host: LeasedHost) -> None:
+        """Check that the directory has enough replicas in sync for an ack of the owner."""
+        if self.policy.ack == "replica" and self.owner() is host:
+            count = len([*self.cluster.successors(self.channel_id)])
+            assert count >= (self.policy.min_replicas or 0), "an item is acknowledged that no replica would keep"
 
     def _know(self, incarnation: int, item: Item) -> None:
         self.known.setdefault(incarnation, {}).setdefault(item, self.clock.now_s)

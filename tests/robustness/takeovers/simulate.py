@@ -45,6 +45,7 @@ class Trial:
         policy = Policy(replicas=replicas, ack=ack, min_replicas=rng.choice((0, 1)))
         self.policy, self.cluster = policy, Cluster(clock, seed, count, policy)
         self.callers = ChannelCallers(self.cluster, self.cluster.channel_id, policy, rng, PAUSE_SECONDS)
+        self.producers = [asyncio.create_task(self.callers.produce(one + 1)) for one in range(PRODUCERS)]
         self.moves = 0
 
     async def move(self, number: int) -> None:
@@ -65,6 +66,9 @@ class Trial:
             or not cluster.is_complete(self.policy.replicas or 0)
             or callers.served() is None
         ):
+            for one in self.producers:
+                if one.done():
+                    one.result()
             assert self.clock.now_s < ends_s, self._stuck(len(callers.acknowledged) - acknowledged)
             await asyncio.sleep(0.1)
         return callers.look()
@@ -79,7 +83,6 @@ class Trial:
 async def _main(clock: VirtualClock, seed: int) -> RunFigures:
     trial = Trial(clock, seed)
     callers = trial.callers
-    producers = [asyncio.create_task(callers.produce(one + 1)) for one in range(PRODUCERS)]
     reader = asyncio.create_task(callers.read())
     try:
         await asyncio.sleep(3.0)
@@ -89,7 +92,7 @@ async def _main(clock: VirtualClock, seed: int) -> RunFigures:
         if reader.done():
             await reader
     finally:
-        for task in (reader, *producers):
+        for task in (reader, *trial.producers):
             task.cancel()
         await trial.cluster.aclose()
     takeovers = len(trial.cluster.incarnations[trial.cluster.channel_id]) - 1

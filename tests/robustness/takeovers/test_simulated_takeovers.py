@@ -12,6 +12,7 @@ from stampede_rt.errors import StampedeError
 from stampede_rt.values.model import Policy
 from tests.robustness.moves.links import Link
 from tests.robustness.takeovers import simulate, simulate_drains, simulate_queues
+from tests.robustness.takeovers.channel_callers import ChannelCallers
 from tests.robustness.takeovers.world import Cluster
 from tests.support.virtual_time import VirtualClock, run_virtually
 
@@ -96,3 +97,55 @@ def test_an_idle_replica_and_its_owner_exchange_a_few_messages_a_second(
             await cluster.aclose()
 
     assert 0 < run_virtually(main, 1, *simulate.WITH_CLOCKS) <= REPORTS_PER_SECOND_MAX * IDLE_SECONDS
+
+
+def test_no_ack_counts_a_replica_whose_host_has_lost_its_lease() -> None:
+    """The replica reaches the owner, but not the directory. When its lease has ended, it would not become the owner."""
+    policy = Policy(replicas=1, ack="replica", min_replicas=1)
+
+    async def main(clock: VirtualClock) -> tuple[int, int]:
+        cluster = Cluster(clock, 1, 2, policy)
+        callers = ChannelCallers(cluster, cluster.channel_id, policy, cluster.rng, 0.02)
+        producing = asyncio.create_task(callers.produce(1))
+        try:
+            await asyncio.sleep(IDLE_SECONDS)
+            (replica,) = cluster.successors(cluster.channel_id)
+            cluster.cut_off.add(int.from_bytes(replica, "big"))
+            await asyncio.sleep(IDLE_SECONDS)
+            before = len(callers.acknowledged)
+            cluster.cut_off.clear()
+            await asyncio.sleep(IDLE_SECONDS)
+            if producing.done():
+                await producing
+            return before, len(callers.acknowledged)
+        finally:
+            producing.cancel()
+            await cluster.aclose()
+
+    before, after = run_virtually(main, 1, *simulate.WITH_CLOCKS)
+    assert 20 < before < after
+
+
+def test_a_queue_counts_no_replica_whose_host_has_lost_its_lease() -> None:
+    async def main(clock: VirtualClock) -> tuple[int, int]:
+        trial = simulate_queues.QueueTrial(clock, 1, replicas=1)
+        cluster, unsafe = trial.cluster, 0
+        producing = asyncio.create_task(trial.produce(1))
+        try:
+            await asyncio.sleep(IDLE_SECONDS)
+            (replica,) = cluster.successors(cluster.jobs_id)
+            cluster.cut_off.add(int.from_bytes(replica, "big"))
+            before = trial.jobs.put()
+            for _ in range(round(2 * IDLE_SECONDS / 0.05)):
+                has_replica, count = [*cluster.successors(cluster.jobs_id)], trial.jobs.put()
+                await asyncio.sleep(0.05)
+                if not has_replica and not [*cluster.successors(cluster.jobs_id)]:
+                    unsafe += trial.jobs.put() - count
+            return unsafe, trial.jobs.put() - before
+        finally:
+            producing.cancel()
+            await cluster.aclose()
+
+    unsafe, puts = run_virtually(main, 1, *simulate_queues.WITH_CLOCKS)
+    assert puts > 20
+    assert not unsafe, "puts are acknowledged that no replica would keep"

@@ -26,7 +26,8 @@ class Rig:
         self.clock = ManualClock()
         held = SimpleNamespace(channel=SimpleNamespace(next_seq=5), subscriptions=[])
         self.held: Any = held if holds_items else None
-        store: Any = SimpleNamespace(copies=SimpleNamespace(of=lambda channel_id: self.held), now=lambda: 0)
+        copies = SimpleNamespace(of=lambda channel_id: self.held)
+        store: Any = SimpleNamespace(copies=copies, now=lambda: 0, lease_held=lambda: True)
         record: Any = SimpleNamespace(channel_id=b"c" * 16, name="c")
         state = CopyState(steady_nanos=lambda: self.clock.boot_nanos)
         self.feed = CopyFeed(store, record, state, b"h" * 16, "localhost:1", owner_facts=True)

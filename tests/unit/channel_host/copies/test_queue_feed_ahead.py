@@ -46,7 +46,11 @@ class Replica:
         self.copies = QueueCopies(memory, lambda: 0, lambda: True)
         self.copies.begin(RECORD, QueueCore(QueueLimits(), incarnation=5), next_step)
         queues: Any = SimpleNamespace(
-            copies=self.copies, memory=memory, known=lambda queue_id: None, in_use=asyncio.Event()
+            copies=self.copies,
+            memory=memory,
+            known=lambda queue_id: None,
+            check_may_serve=lambda: None,
+            in_use=asyncio.Event(),
         )
         self.feed = _Feed(queues, RECORD)
         nobody: Any = None

@@ -10,7 +10,7 @@ from typing import Any
 
 import grpc
 
-from stampede_rt.errors import InvalidArgument, Unavailable
+from stampede_rt.errors import Unavailable
 from stampede_rt.v1 import raw_run_pb2
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.channels.copy_state import CopyState
@@ -18,7 +18,6 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.new_channels import NewCopy
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.cut_floors import floor_from_message
-from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.cluster.task_failures import first_failure
 from stampede_rt_channel_host.copies.fed_items import encode_answer
 from stampede_rt_channel_host.copies.fed_responses import FedResponse
@@ -29,6 +28,7 @@ from stampede_rt_channel_host.copies.messages import (
     facts_of,
     losses_of,
     place_to,
+    record_in,
     run_of,
     run_of_item,
 )
@@ -121,10 +121,18 @@ class CopyFeed:
             takes_runs=True,
         )
 
+    def _may_report(self) -> bool:
+        """Whether the source may count the items of this copy. Without its lease, this host does not become the owner
+        even if the copy is a replica in sync. The directory drops the copy before the source learns of it.
+        """
+        return not self._owner_facts or self._store.lease_held()
+
     def _held(self) -> HostedChannel | None:
         return self._store.copies.of(self._record.channel_id)
 
     def _request(self, opening: pb.FeedOpen | None = None, *, grants: bool = True) -> pb.FeedRequest:
+        if not self._may_report():
+            raise Unavailable(f"this host has no lease, so its replica of channel {self._record.name} does not count")
         held, granted = self._held(), self._granted if grants else 0
         self._granted -= granted
         self._reported_seq = held.channel.next_seq if self.is_opened and held is not None else 0
@@ -206,7 +214,7 @@ class CopyFeed:
         return True
 
     def _take_item_in_same_turn(self, call: Any, fed: FedItem) -> bool:
-        write = None if self._turn.locked() else call.write_now
+        write = None if self._turn.locked() or not self._may_report() else call.write_now
         if write is None or not self._state.caught_up or self._granted >= self._grant_bytes:
             return False
         self._last_received_s = asyncio.get_running_loop().time()
@@ -257,26 +265,17 @@ class CopyFeed:
             self._begin(state, begins_anew=response.opened.begins_anew, losses=losses_of(response.opened))
             self.is_opened = True
         elif state.HasField("channel"):
-            self._update(self._record_of(state))
+            self._update(record_in(state, self._record))
 
     def _begin(self, state: pb.FeedState, *, begins_anew: bool, losses: Losses) -> None:
         """Take over the channel as the source knows it. Begin an empty copy if the present one cannot continue."""
-        record, held = self._record_of(state), self._held()
+        record, held = record_in(state, self._record), self._held()
         is_other = held is None or begins_anew or held.record.incarnation != record.incarnation
         if held is None or is_other or (self._owner_facts and _core(held).owner_facts is None):
             self._state.caught_up = False
             self._store.copies.begin(record, NewCopy(self._state, losses, self._owner_facts))
         else:
             self._update(record)
-
-    def _record_of(self, state: pb.FeedState) -> RecordedChannel:
-        """The record that the source has sent. A source must not change other channels of this host.
-
-        Raises InvalidArgument if it is the record of another channel.
-        """
-        if state.channel.channel_id != self._record.channel_id:
-            raise InvalidArgument(f"the source of channel {self._record.name} sent the record of another channel")
-        return recorded_channel(state.channel)
 
     def _update(self, record: RecordedChannel) -> None:
         held = self._held()

@@ -10,6 +10,7 @@ from stampede_rt.v1 import item_pb2
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt.wire.plain_runs import read_sealed_run
 from stampede_rt.wire.run_slices import SealedColumns, sealed_columns
+from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.copies.owner_messages import owner_of, owner_to, put_of, put_to
 from stampede_rt_channel_host.core.channel import (
     FIRST_KEY,
@@ -30,6 +31,7 @@ from stampede_rt_channel_host.core.channel import (
     SingleItemRun,
     make_run,
 )
+from stampede_rt_channel_host.core.records import RecordedChannel
 
 _CAUSES = {
     "age": pb.FEED_CAUSE_AGE,
@@ -39,6 +41,16 @@ _CAUSES = {
     "archive": pb.FEED_CAUSE_ARCHIVE,
 }
 _FROM_CAUSES: dict[int, str] = {number: cause for cause, number in _CAUSES.items()}
+
+
+def record_in(state: pb.FeedState, own: RecordedChannel) -> RecordedChannel:
+    """The record that the source of the channel `own` has sent. A source must not change other channels of this host.
+
+    Raises InvalidArgument if it is the record of another channel.
+    """
+    if state.channel.channel_id != own.channel_id:
+        raise InvalidArgument(f"the source of channel {own.name} sent the record of another channel")
+    return recorded_channel(state.channel)
 
 
 def place_to(place: FeedPlace, epoch: int) -> pb.FeedPlace:

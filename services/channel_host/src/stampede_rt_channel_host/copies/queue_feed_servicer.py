@@ -55,6 +55,7 @@ class QueueFeeds:
             while isinstance(request := await context.read(), pb.FeedQueueRequest):
                 self._check_latest(feed)
                 await self._take(feed, request, context)
+                self._check_latest(feed)
                 await context.write(feed.place())
         finally:
             feed.close()
@@ -85,7 +86,12 @@ class QueueFeeds:
         return feed.take_steps(request, lambda place: write(place.SerializeToString()))
 
     def _check_latest(self, feed: _Feed) -> None:
-        """Raises StaleBinding (MOVED) if a later feed may change the copy."""
+        """Raises StaleBinding (MOVED) if a later feed may change the copy.
+
+        Raises StaleBinding (NOT_HERE) if this host has no lease: then it does not become the owner, so its answers must
+        not count.
+        """
+        self._queues.check_may_serve()
         if self._latest.get(feed.record.queue_id) is not feed:
             raise refusals.moved(feed.record)
 
