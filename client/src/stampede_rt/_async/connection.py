@@ -140,18 +140,18 @@ class Connection(Mailboxes, RealClock, Reference):
         """Get or create a channel (paper, section 3.4 for the policies).
 
         If the channel exists, the call compares its policy only with the arguments that you state. A contradiction
-        raises ChannelExists. Defaults: max_age "10s" if you state no limit at all, max_bytes 256 MiB, on_full
-        "drop_oldest", max_future "1s". `consumers`: an item may leave when this number of consumers has consumed it.
-        `max_age_unconsumed` replaces max_age for items that a live consumer must still consume (see `Channel.consume`):
-        such items leave at this age. `overlap`: for this time after an item's own time, later items do not end its
-        span. `archive`, such as "7d" or "forever", and `archive_bytes`, such as "200GiB", record the channel: its host
-        keeps the items on disk for that time, and up to that size. Reads of the channel find them there. The host needs
-        the option --archive. `replicas`, 4 at most, is the number of copies at other hosts. If the host is lost, one of
-        them takes over, and lacks at most the items of the last second. With `ack="replica"` nothing is lost: the host
-        acknowledges a put only when all replicas in sync have the item, and at least `min_replicas` (default 1) are in
-        sync. Readers see the item only then. `host` names the host of a new channel. If the channel exists at another
-        live host, the call raises ChannelExists. If the channel does not exist and `create` is False, the call raises
-        ChannelNotFound. Blocks for at most 10 s.
+        raises ChannelExists. A channel without a stated limit takes over arguments that nobody has stated before.
+        Defaults: max_age "10s" if nobody states a limit, max_bytes 256 MiB, on_full "drop_oldest", max_future "1s".
+        `consumers`: an item may leave when this number of consumers has consumed it. `max_age_unconsumed` replaces
+        max_age for items that a live consumer must still consume (see `Channel.consume`): such items leave at this age.
+        `overlap`: for this time after an item's own time, later items do not end its span. `archive`, such as "7d" or
+        "forever", and `archive_bytes`, such as "200GiB", record the channel: its host keeps the items on disk for that
+        time, and up to that size. Reads find them there. The host needs the option --archive. `replicas`, 4 at most, is
+        the number of copies at other hosts. If the host is lost, one of them takes over, and lacks at most the items of
+        the last second. With `ack="replica"` nothing is lost: the host acknowledges a put only when all replicas in
+        sync have the item, and at least `min_replicas` (default 1) are in sync. Readers see the item only then. `host`
+        names the host of a new channel. If the channel exists at another live host, the call raises ChannelExists. With
+        `create=False` an absent channel raises ChannelNotFound. Blocks for at most 10 s.
 
         `beside` is another channel, as a handle or a name. A new channel goes to the host of that channel, unless that
         host is full or more than 95 % busy. Open the channels of a group beside each other, so that their hosts need

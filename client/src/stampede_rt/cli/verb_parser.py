@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Sequence
-from typing import Any
+from itertools import takewhile
+from typing import Any, NoReturn
 
 from stampede_rt.escaping import TerminalParser
 
@@ -25,11 +27,25 @@ class VerbParser(TerminalParser):
         if self._intermixed or self._subparsers is not None:
             # The parser of a noun, such as "queue", leaves the rest to the parsers of the noun's verbs.
             return super().parse_known_args(args, namespace)
+        self._refuse_unknown_options(sys.argv[1:] if args is None else args)
         self._intermixed = True
         try:
             parsed, unknown = self.parse_known_intermixed_args(args, namespace)
         finally:
             self._intermixed = False
         if unknown:
-            self.error(f"{self.prog} has no argument {' '.join(unknown)}; see {self.prog} --help")
+            self._refuse(unknown)
         return parsed, unknown
+
+    def _refuse_unknown_options(self, args: Sequence[str]) -> None:
+        """Refuse unknown options before the values. An error about the value after such an option would mislead."""
+        options = (word.partition("=")[0] for word in takewhile(lambda word: word != "--", args))
+        unknown = [one for one in options if one.startswith("--") and not self._is_known(one)]
+        if unknown:
+            self._refuse(unknown)
+
+    def _is_known(self, option: str) -> bool:
+        return any(known.startswith(option) for known in self._option_string_actions)
+
+    def _refuse(self, unknown: Sequence[str]) -> NoReturn:
+        self.error(f"{self.prog} has no argument {' '.join(unknown)}; see {self.prog} --help")

@@ -33,10 +33,8 @@ def cells_of(payload: bytes, content_type: str) -> Row:
             return _array_cells(payload)
     except (ValueError, RecursionError, TypeError, SyntaxError) as error:
         raise FileError(f"it cannot be decoded as {media}: {error}") from error
-    raise FileError(
-        f"it has the content type {content_type or 'none'!r}; tables take {JSON} and {NPY}; export it as MCAP, or "
-        "choose other channels"
-    )
+    found = f"the content type {content_type!r}" if content_type else "no content type"
+    raise FileError(f"it has {found}; tables take {JSON} and {NPY}; export it as MCAP, or choose other channels")
 
 
 def _object_of(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

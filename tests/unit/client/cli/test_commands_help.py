@@ -38,7 +38,23 @@ def test_a_channel_has_no_message_ids_so_its_put_takes_none(capsys: pytest.Captu
     with pytest.raises(SystemExit) as ended:
         run(["put", "cam", "x", "--message-id", "one"])
     assert ended.value.code == 2
-    assert "stampede put has no argument --message-id one" in capsys.readouterr().err
+    assert "stampede put has no argument --message-id;" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "unknown"),
+    [
+        (["group", "get", "rig", "--last", "30s"], "--last"),
+        (["get", "cam", "--first=1s", "--last", "1s"], "--first"),
+    ],
+)
+def test_an_unknown_option_is_named_before_the_value_after_it(
+    words: list[str], unknown: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        run(words)
+    assert ended.value.code == 2
+    assert f"has no argument {unknown}; see stampede" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("ttl", ["0s", "-1h", "31d", "soon"])

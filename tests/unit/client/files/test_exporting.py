@@ -125,6 +125,12 @@ def test_an_export_that_fails_leaves_no_new_folder_without_tables(tmp_path: Path
     assert [one.name for one in (tmp_path / "half").iterdir()] == ["A.csv"]
 
 
+def test_the_error_for_items_without_a_content_type_says_so(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", [item_entry(Topic("a", "", INCARNATION), item(1, content_type=""))])
+    with pytest.raises(FileError, match="it has no content type; tables take application/json"):
+        export(path, tmp_path / "out", "csv")
+
+
 def test_gaps_of_the_file_are_reported(tmp_path: Path) -> None:
     one = item_entry(Topic("imu", "json", INCARNATION), item(1, b"1", content_type=JSON))
     path = write(tmp_path / "a.mcap", [one, gap("imu", 2, 5)])

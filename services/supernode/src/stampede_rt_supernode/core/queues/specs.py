@@ -119,7 +119,7 @@ def _contradiction(queue: str, field: str, before: object, in_effect: object, va
     return error_for(
         "QUEUE_EXISTS",
         f"queue {queue} exists with {was}, and the request states {name} {_as_written(field, value)}; leave {name} "
-        "out to take the queue as it is, or change it for everybody with UpdateQueue",
+        "out to take the queue as it is, or change it for everybody with configure()",
         {"queue": queue, "field": field, "held": held, "asked": _as_written(field, value)},
     )
 
