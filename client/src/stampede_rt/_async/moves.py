@@ -39,7 +39,7 @@ class Moves(Proxies):
         and blocked gets and subscriptions continue at the new host: nothing is lost, and nothing comes twice. If the
         channel is at that host already, the call returns immediately. Raises HostNotFound, PermissionDenied without the
         right to configure the channel, MoveConflict if another move of the channel is under way, Unavailable if too few
-        of its replicas are in sync, Overloaded if 32 channels move from or to one host, or if the copy cannot catch up
+        of its replicas are in sync, Overloaded if 128 channels move from or to one host, or if the copy cannot catch up
         with the producers, and DeadlineExceeded (the move then continues).
         """
         deadline_s = monotonic_s() + parse_duration(timeout, "timeout") / 1e9

@@ -100,7 +100,7 @@ class MigrationServiceServicer(object):
 
     def MoveEachHere(self, request_iterator, context):
         """Between hosts only: as MoveHere for channels, for a host that drains. A request names channels. The host answers
-        each of them one time, in any order. It reads no further request while 64 channels have no answer. Errors that end
+        each of them one time, in any order. It reads no further request while 128 channels have no answer. Errors that end
         the stream: INVALID_ARGUMENT, SHUTTING_DOWN, PERMISSION_DENIED.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)

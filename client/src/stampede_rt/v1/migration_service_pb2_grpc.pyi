@@ -53,7 +53,7 @@ class MigrationServiceStub:
     """
     MoveEachHere: _grpc.StreamStreamMultiCallable[_migration_service_pb2.MoveEachHereRequest, _migration_service_pb2.MoveEachHereResponse]
     """Between hosts only: as MoveHere for channels, for a host that drains. A request names channels. The host answers
-    each of them one time, in any order. It reads no further request while 64 channels have no answer. Errors that end
+    each of them one time, in any order. It reads no further request while 128 channels have no answer. Errors that end
     the stream: INVALID_ARGUMENT, SHUTTING_DOWN, PERMISSION_DENIED.
     """
     HandOverQueue: _grpc.StreamStreamMultiCallable[_migration_service_pb2.HandOverQueueRequest, _migration_service_pb2.HandOverQueueResponse]
@@ -101,7 +101,7 @@ class MigrationServiceAsyncStub(MigrationServiceStub):
     """
     MoveEachHere: _aio.StreamStreamMultiCallable[_migration_service_pb2.MoveEachHereRequest, _migration_service_pb2.MoveEachHereResponse]  # type: ignore[assignment]
     """Between hosts only: as MoveHere for channels, for a host that drains. A request names channels. The host answers
-    each of them one time, in any order. It reads no further request while 64 channels have no answer. Errors that end
+    each of them one time, in any order. It reads no further request while 128 channels have no answer. Errors that end
     the stream: INVALID_ARGUMENT, SHUTTING_DOWN, PERMISSION_DENIED.
     """
     HandOverQueue: _aio.StreamStreamMultiCallable[_migration_service_pb2.HandOverQueueRequest, _migration_service_pb2.HandOverQueueResponse]  # type: ignore[assignment]
@@ -164,7 +164,7 @@ class MigrationServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_migration_service_pb2.MoveEachHereResponse], _abc.AsyncIterator[_migration_service_pb2.MoveEachHereResponse]]:
         """Between hosts only: as MoveHere for channels, for a host that drains. A request names channels. The host answers
-        each of them one time, in any order. It reads no further request while 64 channels have no answer. Errors that end
+        each of them one time, in any order. It reads no further request while 128 channels have no answer. Errors that end
         the stream: INVALID_ARGUMENT, SHUTTING_DOWN, PERMISSION_DENIED.
         """
 
