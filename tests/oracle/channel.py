@@ -6,6 +6,7 @@ import copy
 from dataclasses import dataclass, field
 
 from stampede_rt.values.model import Policy
+from stampede_rt.values.timeline import MAX_INSTANT
 from tests.oracle.consumers import OracleConsumers
 from tests.oracle.instants import Instants
 
@@ -111,10 +112,14 @@ class OracleChannel:
     def gone_before(self) -> int | None:
         """The instant that no span of a collected item passes.
 
-        With overlap, each collected item may have lasted for the overlap.
+        With overlap, each collected item may have lasted for the overlap. A collected item of a bucket that is held in
+        part lasts until the next bucket.
         """
         if self.frontier is None:
             return None
+        if self.oldest in self.collected_times:
+            following = min((item.time for item in self.held if item.time != self.oldest), default=MAX_INSTANT)
+            return max(following, self.oldest + self.overlap)
         return max([self.frontier, *(time + self.overlap for time in self.collected_times)])
 
     @property

@@ -29,10 +29,14 @@ class FeedSource(NamedTuple):
 
 
 class ListedReplica(NamedTuple):
-    """A replica as the directory lists it. `target` is the gatekeeper of its host; empty if the host is not alive."""
+    """A replica as the directory lists it. `target` is the gatekeeper of its host; empty if the host is not alive.
+
+    `acknowledged`: puts wait for the replica, as the owner that added it has said.
+    """
 
     known: KnownReplica
     target: str
+    acknowledged: bool
 
 
 class ListedReplicas(NamedTuple):
@@ -82,7 +86,11 @@ class ReplicaDirectory:
         response: pb.ListReplicasResponse = await self._call("ListReplicas", request)
         targets = _targets(response)
         replicas = [
-            ListedReplica(KnownReplica(one.host_id, one.boot_incarnation, one.in_sync), targets.get(one.host_id, ""))
+            ListedReplica(
+                KnownReplica(one.host_id, one.boot_incarnation, one.in_sync),
+                targets.get(one.host_id, ""),
+                one.acknowledged,
+            )
             for one in response.replicas
             if one.kind == replica_pb2.REPLICA_KIND_WARM
         ]

@@ -55,7 +55,7 @@ class KeptReplicas(ABC):
         self._directory = directory
         self._replication = replication
         self._subject_id = subject_id
-        self._listed_s = -LIST_SECONDS
+        self._listed_s, self._listed_epoch = -LIST_SECONDS, 0
         self._lacks_replicas = True
         self._missing_s = MISSING_SECONDS
         self._has_reported = False
@@ -136,11 +136,13 @@ class KeptReplicas(ABC):
     async def _round(self) -> None:
         now_s = asyncio.get_running_loop().time()
         age_s = now_s - self._listed_s
-        if age_s >= (self._missing_s if self._lacks_replicas else LIST_SECONDS) or not self._replication.is_known:
+        is_old = age_s >= (self._missing_s if self._lacks_replicas else LIST_SECONDS)
+        # A new epoch of the same owner clears flags, too.
+        if is_old or self._listed_epoch != self.epoch or not self._replication.is_known:
             listed = await self._list()
             if listed.owner_host_id != self._host_id or listed.epoch != self.epoch:
                 return  # the store learns of the new owner from its next caller, or from its next registration
-            self._listed_s = now_s
+            self._listed_s, self._listed_epoch = now_s, listed.epoch
             await self._make_complete(listed)
         for change in self._replication.changes():
             try:
@@ -157,8 +159,17 @@ class KeptReplicas(ABC):
         self._lacks_replicas = in_sync != wanted or len(self._replication.states()) != wanted
 
     async def _list(self) -> ListedReplicas:
+        """The directory's replicas. Removes replicas of the other kind.
+
+        The owner adds such a replica if it does not know yet that the directory has changed the policy. If a replica
+        counted as one for which puts wait, and they did not, it would become the owner under the same incarnation
+        although items are lost.
+        """
         listed = await self._directory.replicas_of(self._subject_id)
         if listed.owner_host_id == self._host_id and listed.epoch == self.epoch:
+            others = [one for one in listed.replicas if one.acknowledged is not self.waits]
+            await self._remove(others)
+            listed = listed._replace(replicas=[one for one in listed.replicas if one not in others])
             self._replication.know([one.known for one in listed.replicas])
         return listed
 
