@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from stampede_rt.values.model import Policy
+from stampede_rt.values.seq_starts import start_of
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.host_archive import HostArchive
@@ -187,6 +188,23 @@ def test_a_stop_with_a_disk_that_fails_logs_the_items_that_are_lost(
     asyncio.run(scenario())
     last = vars(caplog.records[-1])
     assert (last["event"], last["items"], last["why"]) == ("archive_cut_short", 2, "Read-only file system")
+
+
+def test_a_stop_with_a_disk_that_fails_counts_no_seqs_before_the_first_seq_of_an_owner(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def scenario() -> None:
+        archive = archive_in(tmp_path / "a", monkeypatch)
+        recorder, put = recorded(archive, tmp_path / "c")
+        begin = start_of(2)  # the archive has the seqs of a lost owner up to 5
+        recorder._channel.restore((), after=None, next_seq=begin, loss=(None, 1))
+        recorder.archived_to = 6
+        monkeypatch.setattr(recorder.files, "write", refuse)
+        put()
+        await archive.close([recorder])
+
+    asyncio.run(scenario())
+    assert (vars(caplog.records[-1])["event"], vars(caplog.records[-1])["items"]) == ("archive_cut_short", 1)
 
 
 def test_a_channel_that_is_given_up_in_the_middle_of_a_write_is_no_longer_written(

@@ -7,6 +7,7 @@ import logging
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Protocol
 
+from stampede_rt.values.seq_starts import given_between
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
 from stampede_rt_channel_host.archive.objects.segment_mover import SegmentMover
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder
@@ -68,7 +69,7 @@ class ArchiveEnd:
             self._work.cancel()
         lacking = [one for one in self._recorders if one.backlog_items]
         if lacking:
-            items = sum(one.backlog_items for one in lacking)
+            items = sum(given_between(one.archived_to, one.archived_to + one.backlog_items) for one in lacking)
             why = next((one.failure for one in lacking if one.failure), "the disk is too slow")
             logger.error(
                 "the host stops, and its archive lacks %d accepted items of %d channels: %s", items, len(lacking), why,
