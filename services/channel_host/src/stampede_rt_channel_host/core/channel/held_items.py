@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from stampede_rt.values.seq_starts import given_between
+from stampede_rt.values.timeline import MAX_INSTANT
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.index_snapshot import IndexSnapshot
 from stampede_rt_channel_host.core.channel.item_blocks import ItemBlocks
@@ -185,9 +186,13 @@ class HeldItems:
     def gone_before(self) -> int | None:
         """The instant before which an answer may lack collected items.
 
-        With overlap this instant may be later than the frontier.
+        This instant is later than the frontier if only a part of the oldest bucket is held, because collected items of
+        this bucket last as long. With overlap it may be later, too.
         """
         frontier = self.frontier
+        if self.oldest is not None and self.oldest == self.newest_collected:
+            following = self.next_time(self.oldest)
+            frontier = MAX_INSTANT if following is None else following
         if not self.overlap_nanos or frontier is None or self.newest_collected is None:
             return frontier
         return max(frontier, self.newest_collected + self.overlap_nanos)

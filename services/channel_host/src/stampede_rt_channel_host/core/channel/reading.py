@@ -277,7 +277,10 @@ class QueryReader:
     def _collected(self) -> Reason:
         held = self._held
         policy = self._retention.limits.describe(held.collected_by)
-        before = format_instant(held.gone_before or 0)
+        gone_before = held.gone_before or 0
+        if held.oldest is not None:  # a part of the oldest bucket may be collected
+            gone_before = min(gone_before, held.oldest + held.overlap_nanos + 1)
+        before = format_instant(gone_before)
         return Reason("COLLECTED", f"{policy} has collected the items before {before}")
 
     def _nothing_yet(self, query: Query, region: ResolvedInterval) -> Reason:
