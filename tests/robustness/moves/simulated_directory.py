@@ -49,7 +49,9 @@ class SimulatedDirectory(GatheredMoves):
 
     async def resolve(self, channel_id: bytes) -> RecordedChannel:
         await self._reach()
-        return self.world.record_of(channel_id)
+        record = self.world.record_of(channel_id)
+        await self._reach()  # the answer may come late, or be lost
+        return record
 
     async def owner_of_one(self, channel_id: bytes) -> OwnedChannel:
         await self._reach()
@@ -76,7 +78,7 @@ class SimulatedDirectory(GatheredMoves):
         warm = [one for one in self._copies(channel_id) if one.kind is ReplicaKind.WARM]
         return ListedReplicas(record.host_id, record.epoch, [
             ListedReplica(KnownReplica(one.host_id, one.boot_incarnation, one.in_sync),
-                          self.world.target_of(one.host_id))
+                          self.world.target_of(one.host_id), one.acknowledged)
             for one in warm
         ])  # fmt: skip
 

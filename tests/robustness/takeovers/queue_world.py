@@ -151,7 +151,9 @@ class DirectoryOfQueues:
     async def resolve(self, queue_id: bytes) -> ResolvedQueue:
         cluster = await self._reach()
         record = cluster.queue(queue_id)
-        return ResolvedQueue(queue=record, target=cluster.target(record.host_id) or None)
+        target = cluster.target(record.host_id) or None
+        await self._reach()  # the answer may come late, or be lost
+        return ResolvedQueue(queue=record, target=target)
 
     async def queue(self, queue_id: bytes) -> tuple[RecordedQueue, str | None]:
         found = await self.resolve(queue_id)
@@ -171,7 +173,10 @@ class DirectoryOfQueues:
         cluster = await self._reach()
         record = cluster.queue(queue_id)
         return ListedReplicas(record.host_id, record.epoch, [
-            ListedReplica(KnownReplica(one.host_id, one.boot_incarnation, one.in_sync), cluster.target(one.host_id))
+            ListedReplica(
+                KnownReplica(one.host_id, one.boot_incarnation, one.in_sync), cluster.target(one.host_id),
+                one.acknowledged,
+            )
             for one in cluster.copies(queue_id)
         ])  # fmt: skip
 

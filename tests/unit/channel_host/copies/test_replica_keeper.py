@@ -45,7 +45,8 @@ class Directory:
 
     async def replicas_of(self, channel_id: bytes) -> ListedReplicas:
         frozen, silent = KnownReplica(FROZEN, 1, False), KnownReplica(SILENT, 1, True)
-        return ListedReplicas(OWNER, 1, [ListedReplica(frozen, "frozen:1"), ListedReplica(silent, "silent:1")])
+        replicas = [ListedReplica(frozen, "frozen:1", False), ListedReplica(silent, "silent:1", False)]
+        return ListedReplicas(OWNER, 1, replicas)
 
     async def add_replica(self, channel_id: bytes, epoch: int, *, acknowledged: bool) -> None:
         self.tries_to_add += 1
