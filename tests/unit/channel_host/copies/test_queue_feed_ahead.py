@@ -43,7 +43,7 @@ class Replica:
 
     def __init__(self, next_step: int) -> None:
         memory = MemoryBudget(2**30)
-        self.copies = QueueCopies(memory, lambda: 0, lambda: True)
+        self.copies = QueueCopies(memory, lambda: 0, lambda: True, PieceScheduler())
         self.copies.begin(RECORD, QueueCore(QueueLimits(), incarnation=5), next_step)
         queues: Any = SimpleNamespace(
             copies=self.copies,

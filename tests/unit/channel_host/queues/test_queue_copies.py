@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 
 from stampede_rt.errors import Overloaded
 from stampede_rt.values.queueing import QueuePolicy
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
+from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
+from stampede_rt_channel_host.core.queue.queue import EMPTIED_PER_PIECE
 from stampede_rt_channel_host.core.records import RecordedQueue
 from stampede_rt_channel_host.queues.queue_content import KeptQueue, QueueMove
 from stampede_rt_channel_host.queues.queue_copies import QueueCopies
@@ -32,7 +36,7 @@ class Replica:
         self.now = owner.now
         (self.lease,) = owner.queue.pending(0, 9, self.now)
         self.memory = MemoryBudget(bytes_max)
-        self.copies = QueueCopies(self.memory, lambda: self.now, lambda: True)
+        self.copies = QueueCopies(self.memory, lambda: self.now, lambda: True, PieceScheduler())
         self.core = self.copies.restored(RECORD, owner.queue.export(self.now))
 
 
@@ -48,7 +52,7 @@ def test_the_leases_of_an_inherited_queue_do_not_count_the_time_without_an_owner
     assert replica.copies.of(RECORD.queue_id) is None
 
 
-def test_a_copy_of_another_incarnation_is_dropped_and_not_inherited() -> None:
+async def test_a_copy_of_another_incarnation_is_dropped_and_not_inherited() -> None:
     replica = Replica()
     replica.copies.begin(RECORD, replica.core, 2)
     assert replica.copies.inherit(replace(RECORD, epoch=2, incarnation=2)) is None
@@ -70,7 +74,7 @@ def test_without_room_a_former_owner_gets_no_copy_before_the_queue_has_moved() -
         replica.copies.room_for(RECORD, replica.core, 0)
 
 
-def test_the_copy_of_a_former_owner_counts_in_the_memory_of_the_host_and_then_needs_no_more_room() -> None:
+async def test_the_copy_of_a_former_owner_counts_in_the_memory_of_the_host_and_then_needs_no_more_room() -> None:
     """In an earlier version, the host refused the copy after the move, although the directory knew it as in sync."""
     replica = Replica()
     footprint_bytes = replica.core.footprint_bytes
@@ -92,3 +96,17 @@ def test_a_move_that_fails_frees_the_memory_of_the_copy() -> None:
     move.kept = KeptQueue(replica.core, 2, 7, replica.copies.room_for(RECORD, replica.core, 0))
     move.free()
     assert (move.kept, replica.memory.used_bytes) == (None, 0)
+
+
+async def test_a_dropped_copy_is_freed_in_pieces() -> None:
+    owner = Core(max_items=5 * EMPTIED_PER_PIECE)
+    owner.put(*[1] * 5 * EMPTIED_PER_PIECE)
+    replica = Replica()
+    core = replica.copies.restored(RECORD, owner.queue.export(owner.now))
+    replica.copies.begin(RECORD, core, 2)
+    replica.copies.drop(RECORD.queue_id)
+    left = [core.latest_counters().held]
+    while left[-1]:
+        await asyncio.sleep(0)
+        left.append(core.latest_counters().held)
+    assert max(before - after for before, after in pairwise([5 * EMPTIED_PER_PIECE, *left])) == EMPTIED_PER_PIECE

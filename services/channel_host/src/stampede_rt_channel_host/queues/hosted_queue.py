@@ -306,7 +306,7 @@ class HostedQueue(ReplicatedQueue):
         while self.moving is not None and self.moving.is_exporting:
             yield
         if self.replication is not None:
-            self.replication.journal.stop()
+            yield from self.replication.journal.stopping()
         yield from self.queue.emptying()
 
     def follow_up(self) -> None:

@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterator
 
 from stampede_rt.errors import Overloaded
 from stampede_rt_channel_host.channels.limits.memory import Charge, MemoryBudget
+from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
+from stampede_rt_channel_host.core.channel import Pieces
 from stampede_rt_channel_host.core.queue import JOURNAL_BYTES_MAX, QueueCore, QueueHandoff, QueueLimits, QueueStep
 from stampede_rt_channel_host.core.records import RecordedQueue
 from stampede_rt_channel_host.queues.queue_content import KeptQueue, QueueContent
@@ -32,12 +34,20 @@ class QueueCopy:
         self.owner_epoch = record.epoch
         self.last_message_nanos = time.monotonic_ns()  # when the owner last sent a message, by a steady clock
 
+    def emptying(self) -> Pieces[None]:
+        """Free the memory, in pieces."""
+        yield from self.journal.stopping()
+        yield from self.core.emptying()
+
 
 class QueueCopies:
-    """The replicas of one host, by queue. `may_serve` and `now`: as in `QueueStore`."""
+    """The replicas of one host, by queue. `may_serve`, `now` and `scheduler`: as in `QueueStore`."""
 
-    def __init__(self, memory: MemoryBudget, now: Callable[[], int], may_serve: Callable[[], bool]) -> None:
+    def __init__(
+        self, memory: MemoryBudget, now: Callable[[], int], may_serve: Callable[[], bool], scheduler: PieceScheduler
+    ) -> None:
         self._memory = memory
+        self._scheduler = scheduler
         self._now = now
         self._may_serve = may_serve
         self._copies: dict[bytes, QueueCopy] = {}
@@ -122,9 +132,11 @@ class QueueCopies:
         The leases do not count the time in which no host served the queue.
         """
         copy = self._copies.get(record.queue_id)
-        self.drop(record.queue_id)
         if copy is None or copy.record.incarnation != record.incarnation:
+            self.drop(record.queue_id)
             return None
+        del self._copies[record.queue_id]
+        copy.charge.set(0)
         copy.journal.bytes_max = JOURNAL_BYTES_MAX
         copy.core.postpone(time.monotonic_ns() - copy.last_message_nanos)
         extra = {"event": "queue_continued", "queue": display_name(record), "steps": copy.journal.next_step - 1}
@@ -136,3 +148,4 @@ class QueueCopies:
         copy = self._copies.pop(queue_id, None)
         if copy is not None:
             copy.charge.set(0)
+            self._scheduler.begin(copy.emptying())

@@ -80,7 +80,7 @@ class QueueStore:
         self._creation_shares = CreationShares(identity.name, "queues", QUEUES_MAX)
         self.takers = IdOwners()  # which caller uses which taker id
         self._arriving: dict[bytes, tuple[int, QueueContent]] = {}  # with the epoch of this host as the owner
-        self.copies = QueueCopies(memory, now, self.may_serve)
+        self.copies = QueueCopies(memory, now, self.may_serve, scheduler)
         # called with each queue that begins to wait for replicas
         self.on_replicated: Callable[[HostedQueue], None] = lambda hosted: None
         self.departed: Counter[str] = Counter()

@@ -13,7 +13,9 @@ from stampede_rt_channel_host.core.channel.pieces import abandoning, run_to_end
 from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.queue import Batch, Enqueue, QueueCore, QueueLimits, TakerState
 from stampede_rt_channel_host.core.queue.dispatcher import ITEMS_DISPATCHED_MAX
+from stampede_rt_channel_host.core.queue.due_work import CHECKED_PER_CALL_MAX
 from stampede_rt_channel_host.core.queue.enqueue_line import DROPPED_PER_RUN_MAX, OFFERED_PER_CALL_MAX
+from stampede_rt_channel_host.core.queue.journal import FORGOTTEN_PER_CALL_MAX
 from stampede_rt_channel_host.core.queue.queue import EMPTIED_PER_PIECE, ENDED_PER_CALL_MAX
 from stampede_rt_channel_host.core.queue.queue_snapshot import MESSAGES_PER_PIECE
 from stampede_rt_channel_host.queues.hosted_queue import STREAMS_PER_PIECE, HostedQueue
@@ -228,3 +230,42 @@ def test_a_dropped_snapshot_frees_its_messages_in_pieces() -> None:
         next(pieces)
     assert sum(1 for _ in abandoning(pieces)) >= 2
     assert journal._snapshots == []
+
+
+def test_a_new_owner_lets_all_leases_last_longer_and_tells_the_replicas_in_many_steps() -> None:
+    core = leased(5 * CHECKED_PER_CALL_MAX)
+    copy = QueueCore.restored(QueueLimits(max_items=10**6), core.queue.export(core.now), core.now, incarnation=1)
+    journal, copied = core.queue.journal(), copy.journal()
+    before = core.queue.pending(0, 10**6, core.now)
+    core.queue.postpone(7)
+    while core.queue.next_deadline() == core.now:
+        core.queue.tick(core.now)
+        journal.note(core.now)
+    after = core.queue.pending(0, 10**6, core.now)
+    assert [lease.expires + 7 for lease in before] == [lease.expires for lease in after]
+    steps = journal.steps_from(1, 2**40)
+    assert steps is not None
+    assert [len(step.changes.items) for step in steps] == [CHECKED_PER_CALL_MAX] * 5
+    for step in steps:
+        copied.apply(step, core.now)
+    assert copy.pending(0, 10**6, core.now) == after
+    core.now = after[0].expires - 1
+    core.queue.tick(core.now)
+    assert core.counted("leased") == (5 * CHECKED_PER_CALL_MAX,)
+    core.now += 1
+    core.queue.tick(core.now)
+    assert core.counted("leases_expired")[0] > 0
+
+
+def test_a_call_forgets_a_bounded_number_of_replicated_steps() -> None:
+    core = Core(max_items=10_000)
+    journal = core.queue.journal()
+    for _ in range(2 * FORGOTTEN_PER_CALL_MAX):
+        core.put(1)
+        journal.note(core.now)
+    journal.forget(journal.next_step)
+    assert journal.steps_from(FORGOTTEN_PER_CALL_MAX, 1) is None
+    assert journal.steps_from(FORGOTTEN_PER_CALL_MAX + 1, 1) is not None
+    journal.forget(journal.next_step)
+    assert journal.size_bytes == 0
+    assert journal.steps_from(journal.next_step, 1) == []

@@ -15,7 +15,7 @@ from stampede_rt_channel_host.core.queue.queue_items import QueueItems
 from stampede_rt_channel_host.core.queue.queue_leases import QueueLeases
 
 CHECKED_PER_CALL_MAX = 256
-"""The most messages that one call checks again after the limits have changed."""
+"""The most messages that one call checks again after the limits have changed, and the most leases that it notes."""
 DUE_PER_CALL_MAX = 256
 """The most ended leases, delays and waits that one call handles. If more are due, `next_deadline` says so."""
 
@@ -47,6 +47,7 @@ class DueWork:
         due = self._check_some()
         while due < DUE_PER_CALL_MAX and (self._queue_leases.expire_one(clock) or self._end_delay(clock)):
             due += 1
+        self._queue_leases.note_some(CHECKED_PER_CALL_MAX)
         for taker in self._queue_leases.silent:
             self._dispatcher.leave(taker)
         while due < DUE_PER_CALL_MAX and self._enqueue_line.give_up_one(clock):
@@ -83,7 +84,7 @@ class DueWork:
 
     def next_deadline(self) -> int | None:
         """The time at which `tick` next has work, or None if it has none until another call changes the queue."""
-        if self._unchecked_from is not None or self._has_more:
+        if self._unchecked_from is not None or self._has_more or self._queue_leases.has_unnoted:
             return self._clock
         known = self._enqueue_line.message_ids.next_deadline()
         due = (

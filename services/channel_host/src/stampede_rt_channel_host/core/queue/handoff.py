@@ -146,7 +146,7 @@ def state_of(item: TrackedItem, queue_leases: QueueLeases, now: int) -> ItemStat
         seq=item.seq,
         deliveries=[*(lease.number for lease in leases), *item.returned],
         acknowledged=item.acknowledged,
-        leases=[_lease_state(lease, now) for lease in leases],
+        leases=[_lease_state(lease, queue_leases.end_of(lease), now) for lease in leases],
         delay_nanos=0 if item.due is None else item.due - now,
         is_leaving=item.is_leaving,
         last=item.last,
@@ -161,7 +161,7 @@ def change_of(item: TrackedItem, change: ItemChange, queue_leases: QueueLeases, 
         seq=item.seq,
         deliveries=[*(lease.number for lease in leases), *item.returned],
         acknowledged=item.acknowledged[change.acknowledged_before :],
-        leases=[_lease_state(lease, now) for lease in leases],
+        leases=[_lease_state(lease, queue_leases.end_of(lease), now) for lease in leases],
         delay_nanos=0 if item.due is None else item.due - now,
         is_leaving=item.is_leaving,
         last=item.last,
@@ -169,9 +169,9 @@ def change_of(item: TrackedItem, change: ItemChange, queue_leases: QueueLeases, 
     )
 
 
-def _lease_state(lease: Lease, now: int) -> LeaseState:
+def _lease_state(lease: Lease, end: int, now: int) -> LeaseState:
     taker = lease.taker
-    return LeaseState(lease.order, taker.taker_id, taker.name, (lease.due or now) - now, now - lease.leased_at)
+    return LeaseState(lease.order, taker.taker_id, taker.name, end - now, now - lease.leased_at)
 
 
 def enter(queue_items: QueueItems, queue_leases: QueueLeases, state: ItemState, now: int) -> None:

@@ -13,7 +13,7 @@ from itertools import chain, islice
 from typing import NamedTuple
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt_channel_host.core.channel.pieces import Pieces
+from stampede_rt_channel_host.core.channel.pieces import Pieces, run_to_end
 from stampede_rt_channel_host.core.queue.ahead_put import AheadPut
 from stampede_rt_channel_host.core.queue.changes import QueueChanges
 from stampede_rt_channel_host.core.queue.enqueue import Enqueue
@@ -35,6 +35,7 @@ from stampede_rt_channel_host.core.queue.queue_snapshot import QueueSnapshot
 
 JOURNAL_BYTES_MAX = 64 * 2**20
 """The most bytes of the steps that a queue keeps for its replicas. A replica that lacks older steps begins anew."""
+FORGOTTEN_PER_CALL_MAX = 512
 _STEP_BYTES, _ENTRY_BYTES = 600, 200  # about the memory of a step, and of each entry in it
 
 
@@ -291,12 +292,20 @@ class QueueJournal:
         return snapshot
 
     def stop(self) -> None:
-        """Stop noting changes, because the queue no longer has replicas."""
+        """Stop noting changes, because the queue no longer has replicas, and forget all steps."""
+        run_to_end(self.stopping())
+
+    def stopping(self) -> Pieces[None]:
+        """Like `stop`, in pieces. The first one stops the noting."""
         self._queue_items.changes = None
-        self._steps.clear()
-        self.size_bytes = 0
+        while self._steps:
+            self.forget(self.next_step)
+            yield
 
     def forget(self, next_step: int) -> None:
-        """Forget the steps before `next_step`, because every replica has them."""
-        while self._steps and self._steps[0][0].number < next_step:
+        """Forget the steps before `next_step`, because every replica has them. If there are many, later calls
+        forget the others.
+        """
+        first = self.next_step - len(self._steps)
+        for _ in range(min(next_step - first, FORGOTTEN_PER_CALL_MAX)):
             self.size_bytes -= self._steps.popleft()[1]

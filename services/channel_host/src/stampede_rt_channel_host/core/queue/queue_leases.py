@@ -57,12 +57,17 @@ class Lease:
 
 
 class QueueLeases:
-    """All leases of a queue. Delivery ids start at `first_delivery_id`, and each delivery has the next one."""
+    """All leases of a queue. Delivery ids start at `first_delivery_id`, and each delivery has the next one.
+
+    The `due` of a lease, and the deadlines, leave out the times in which no host served the queue; see `end_of`.
+    """
 
     def __init__(self, queue_items: QueueItems, queue_name: str, first_delivery_id: int) -> None:
         self._queue_items = queue_items
         self._queue = queue_name
         self._deadlines: Deadlines[Lease] = Deadlines()
+        self._unserved_nanos = 0  # the times in which no host served the queue
+        self._unnoted_from: int | None = None  # the next delivery id for `note_some`; None: all leases are noted
         self.leases: ChunkedMap[Lease] = ChunkedMap()  # by delivery id
         # The takers that let a lease end, and have sent nothing since that lease began. The caller empties the list.
         self.silent: list[TakerState] = []
@@ -88,7 +93,7 @@ class QueueLeases:
         self._queue_items.leased += not lease.item.leases
         lease.item.leases[lease.taker.taker_id] = lease.order
         self.leases[lease.order] = lease
-        self._deadlines.arm(lease, expires)
+        self._deadlines.arm(lease, expires - self._unserved_nanos)
         self._queue_items.note_change(lease.item, lease.order)
 
     def settle(self, taker_id: int, settlement: Settlement, now: int) -> SettlementResult:
@@ -98,7 +103,7 @@ class QueueLeases:
         """
         delivery_id, verdict = settlement
         lease = self.leases.get(delivery_id)
-        if lease is None or lease.taker.taker_id != taker_id or lease.due is None or lease.due <= now:
+        if lease is None or lease.taker.taker_id != taker_id or self.end_of(lease) <= now:
             repeated = isinstance(verdict, Acknowledge) and self.acknowledged.knows(delivery_id, taker_id, now)
             return SettlementResult(delivery_id, None if repeated else self._stale(delivery_id))
         lease.taker.last_request_at = now
@@ -117,7 +122,7 @@ class QueueLeases:
 
     def expire_one(self, now: int) -> bool:
         """Take back the message of the lease that ended first. Returns False if no lease has ended."""
-        lease = self._deadlines.pop(now)
+        lease = self._deadlines.pop(now - self._unserved_nanos)
         if lease is None:
             return False
         self._queue_items.tally.leases_expired += 1
@@ -130,11 +135,18 @@ class QueueLeases:
 
     def pending(self, after_delivery_id: int, limit: int) -> list[PendingDelivery]:
         """The leases with delivery ids above `after_delivery_id`, in the order of the ids, at most `limit`."""
-        return [_pending(lease) for lease in islice(self.leases.values(after_delivery_id + 1), limit)]
+        return [
+            _pending(lease, self.end_of(lease)) for lease in islice(self.leases.values(after_delivery_id + 1), limit)
+        ]
 
     def next_deadline(self) -> int | None:
         """The time of the next lease end, or None if there is no lease."""
-        return self._deadlines.next()
+        due = self._deadlines.next()
+        return None if due is None else due + self._unserved_nanos
+
+    def end_of(self, lease: Lease) -> int:
+        """The time at which the lease ends."""
+        return (lease.due or 0) + self._unserved_nanos
 
     def recall(self, slices: Iterable[LeasedSlice]) -> None:
         """Take back deliveries that the host has not begun to send, as if the taker had not got them."""
@@ -200,7 +212,7 @@ class QueueLeases:
             self._queue_items.refresh(item)
 
     def _extend(self, lease: Lease, verdict: Extend, now: int) -> SettlementResult:
-        self._deadlines.arm(lease, now + verdict.lease_nanos)
+        self._deadlines.arm(lease, now + verdict.lease_nanos - self._unserved_nanos)
         self._queue_items.note_change(lease.item, lease.order)
         return SettlementResult(lease.order, None, verdict.lease_nanos)
 
@@ -236,10 +248,26 @@ class QueueLeases:
         self._queue_items.log_return(item)
 
     def postpone(self, nanos: int) -> None:
-        """Let all leases last `nanos` longer, because no host has served the queue for this time."""
-        for lease in self.leases.values():
-            self._deadlines.arm(lease, (lease.due or 0) + nanos)
+        """Let all leases last `nanos` longer, because no host has served the queue for this time.
+
+        The copies learn this by `note_some`.
+        """
+        self._unserved_nanos += nanos
+        self._unnoted_from = 0
+
+    @property
+    def has_unnoted(self) -> bool:
+        """Whether `note_some` has more to do."""
+        return self._unnoted_from is not None
+
+    def note_some(self, limit: int) -> None:
+        """Note the ends of at most `limit` leases as changes, after `postpone`."""
+        if self._unnoted_from is None:
+            return
+        leases = [*islice(self.leases.values(self._unnoted_from), limit)]
+        for lease in leases:
             self._queue_items.note_change(lease.item, lease.order)
+        self._unnoted_from = leases[-1].order + 1 if len(leases) == limit else None
 
     def void(self, item: TrackedItem) -> None:
         """End all leases of the message."""
@@ -268,8 +296,8 @@ class QueueLeases:
         )
 
 
-def _pending(lease: Lease) -> PendingDelivery:
-    taker, expires = lease.taker, lease.due if lease.due is not None else lease.leased_at
+def _pending(lease: Lease, expires: int) -> PendingDelivery:
+    taker = lease.taker
     return PendingDelivery(
         lease.order, lease.item.seq, taker.taker_id, taker.name, lease.number, lease.leased_at, expires
     )
