@@ -184,7 +184,7 @@ def test_calls_that_a_host_refused_are_reported_beside_the_puts() -> None:
     assert (host.state, host.advice) == ("ok, 3 calls refused before", "")
     facts = {"refused_calls": 3, "refused_call_ago_nanos": 5000 * MS, "refused_items": 1}
     host = found(changed("h1", refused_ago_nanos=5000 * MS, **facts), "host h1")
-    assert host.state == "1 puts and 3 calls refused"
+    assert host.state == "1 put and 3 calls refused"
     assert "--memory-bytes-max" in host.advice
     assert "a reader that took nothing" in host.advice
 
@@ -192,6 +192,8 @@ def test_calls_that_a_host_refused_are_reported_beside_the_puts() -> None:
 def test_denials_are_counted_and_get_no_advice() -> None:
     finding = found(changed("h1", denials=3, denied_ago_nanos=5000 * MS), "access")
     assert (finding.state, finding.advice) == ("3 calls denied, the last one 5 s ago, at host h1 (3)", "")
+    finding = found(changed("h1", denials=1, denied_ago_nanos=5000 * MS), "access")
+    assert finding.state == "1 call denied, the last one 5 s ago, at host h1 (1)"
 
 
 def test_doctor_counts_calls_beyond_quotas_and_names_callers_with_recent_refusals() -> None:

@@ -88,6 +88,10 @@ def _archive_store(one: Observation) -> tuple[str, str]:
     return "store fails", advice
 
 
+def _number_of(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
 def _lost(one: Observation) -> tuple[str, str]:
     if one.lost_for_nanos is None:
         advice = (
@@ -102,10 +106,10 @@ def _lost(one: Observation) -> tuple[str, str]:
 def _load(one: Observation) -> tuple[str, str]:
     """Return the state of a part that serves, and advice if it has lately refused puts or calls as Overloaded."""
     kinds = (
-        (one.refused_items, "puts", one.refused_ago_nanos),
-        (one.refused_calls, "calls", one.refused_call_ago_nanos),
+        (one.refused_items, "put", one.refused_ago_nanos),
+        (one.refused_calls, "call", one.refused_call_ago_nanos),
     )
-    refused = [(f"{count} {what}", ago) for count, what, ago in kinds if count]
+    refused = [(_number_of(count, what), ago) for count, what, ago in kinds if count]
     if not refused:
         return "ok", ""
     state = f"{' and '.join(text for text, _ in refused)} refused"
@@ -260,7 +264,8 @@ def _quotas(seen: Sequence[Observation]) -> Iterator[CheckResult]:
         if last <= REFUSED_LATELY_NANOS
         else ""
     )
-    yield CheckResult("quotas", "-", f"{count} calls refused, the last one {roughly(last)} ago, at {where}", advice)
+    state = f"{_number_of(count, 'call')} refused, the last one {roughly(last)} ago, at {where}"
+    yield CheckResult("quotas", "-", state, advice)
 
 
 def _denials(seen: Sequence[Observation]) -> Iterator[CheckResult]:
@@ -273,7 +278,8 @@ def _denials(seen: Sequence[Observation]) -> Iterator[CheckResult]:
         return
     count, last = sum(one.denials for one in denying), min(one.denied_ago_nanos or 0 for one in denying)
     where = joined([f"{one.part} ({one.denials})" for one in denying])
-    yield CheckResult("access", "-", f"{count} calls denied, the last one {roughly(last)} ago, at {where}")
+    state = f"{_number_of(count, 'call')} denied, the last one {roughly(last)} ago, at {where}"
+    yield CheckResult("access", "-", state)
 
 
 def _versions(seen: Sequence[Observation], own_version: str) -> Iterator[CheckResult]:

@@ -86,7 +86,8 @@ async def serve(settings: SupernodeSettings) -> None:
         await OwnAddress(founding.supernode_id, founding.address, 0, credentials).check()
     if settings.data_dir is None and not settings.members:
         logger.info(
-            "the only supernode; keeps everything in memory; a supernode of `init` or `join` needs its --data-dir",
+            "this supernode is the only one, and keeps the directory in memory; to keep it on disk, name a folder that "
+            "`stampede supernode init` or `join` has prepared, in --data-dir",
             extra={"event": "kept_in_memory"},
         )
     async with _open_log(settings, founding, server, credentials, replica) as log:
