@@ -65,6 +65,7 @@ class SimHost:
         self._boots = itertools.count(1)
         self.clock = Clock(world)
         self.frozen_until = 0.0
+        self._registered_index = 0
         ownership.hosts.append(self)
         world.counts_on_lease[self._host_id] = lambda boot: (
             boot == self.identity.boot_incarnation and self.store.lease_held()
@@ -159,12 +160,14 @@ class SimHost:
         self.epoch.note_registered()
         channels = map(recorded_channel, entered.channels)
         run_to_end(self.store.registering(channels, is_complete=len(entered.channels) < CHANNELS_LISTED_MAX))
+        self._registered_index = entered.registered_index
         self._granted(sent, entered.lease_ttl_nanos)
 
     async def _renew(self) -> None:
         request = pb.RenewHostLeaseRequest(
-            host_id=self.identity.host_id, boot_incarnation=self.identity.boot_incarnation
-        )
+            host_id=self.identity.host_id, boot_incarnation=self.identity.boot_incarnation,
+            registered_index=self._registered_index,
+        )  # fmt: skip
         sent = self.clock.boottime_nanos()
         renewed = await ask(self.world, "RenewHostLease", request, 0.7, caller=self)
         self._granted(sent, renewed.lease_ttl_nanos)

@@ -37,6 +37,7 @@ class FakeDirectory(
         # By method, the ids of the clusters that hosts have named as theirs.
         self.named_clusters: dict[str, list[str]] = {"RegisterHost": [], "RenewHostLease": []}
         self.cluster_id, self.former_cluster_ids = "c", list[str]()
+        self.registered_index = 0  # the number of registrations
         self.target = ""
         self.others: list[str] = []
         self._called = asyncio.Condition()
@@ -116,6 +117,7 @@ class FakeDirectory(
             alive=True,
             registration_epoch=request.registration_epoch,
         )
+        self.registered_index += 1
         own = [one for one in self.channels.values() if one.host_id == request.host_id]
         if before is not None and before.boot_incarnation != request.boot_incarnation:
             for one in own:
@@ -125,6 +127,7 @@ class FakeDirectory(
             lease_ttl_nanos=self.lease_ttl_nanos,
             channels=own,
             cluster_id=self.cluster_id,
+            registered_index=self.registered_index,
         )
 
     async def RenewHostLease(  # noqa: N802

@@ -77,8 +77,10 @@ class Node:
         )
         return await self.call(self.stub.RegisterHost(request, timeout=10))
 
-    async def renew(self, number: int, *, boot: int = 1) -> pb.RenewHostLeaseResponse:
-        request = pb.RenewHostLeaseRequest(host_id=id_of(number), boot_incarnation=boot)
+    async def renew(self, number: int, *, boot: int = 1, registered_index: int = 0) -> pb.RenewHostLeaseResponse:
+        request = pb.RenewHostLeaseRequest(
+            host_id=id_of(number), boot_incarnation=boot, registered_index=registered_index
+        )
         return await self.call(self.stub.RenewHostLease(request, timeout=10))
 
     async def host(self, number: int) -> directory_pb2.HostRecord:

@@ -182,7 +182,7 @@ class RegisterHostRequest(_message.Message):
     def __init__(self, request_id: _Optional[bytes] = ..., host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[_directory_pb2.Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., version: _Optional[str] = ..., protocol_version: _Optional[int] = ..., registration_epoch: _Optional[int] = ..., has_archive: bool = ..., continues_boot_incarnation: _Optional[int] = ..., move_key: _Optional[bytes] = ..., private: bool = ..., machine: _Optional[str] = ..., archive_wait_nanos: _Optional[int] = ..., archive_place: _Optional[str] = ...) -> None: ...
 
 class RegisterHostResponse(_message.Message):
-    __slots__ = ("host", "lease_ttl_nanos", "channels", "cluster_id", "protocol_version", "queues", "former_cluster_ids")
+    __slots__ = ("host", "lease_ttl_nanos", "channels", "cluster_id", "protocol_version", "queues", "former_cluster_ids", "registered_index")
     HOST_FIELD_NUMBER: _ClassVar[int]
     LEASE_TTL_NANOS_FIELD_NUMBER: _ClassVar[int]
     CHANNELS_FIELD_NUMBER: _ClassVar[int]
@@ -190,6 +190,7 @@ class RegisterHostResponse(_message.Message):
     PROTOCOL_VERSION_FIELD_NUMBER: _ClassVar[int]
     QUEUES_FIELD_NUMBER: _ClassVar[int]
     FORMER_CLUSTER_IDS_FIELD_NUMBER: _ClassVar[int]
+    REGISTERED_INDEX_FIELD_NUMBER: _ClassVar[int]
     host: _directory_pb2.HostRecord
     lease_ttl_nanos: int
     channels: _containers.RepeatedCompositeFieldContainer[_channel_pb2.ChannelRecord]
@@ -197,17 +198,20 @@ class RegisterHostResponse(_message.Message):
     protocol_version: int
     queues: _containers.RepeatedCompositeFieldContainer[_queue_pb2.QueueRecord]
     former_cluster_ids: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, host: _Optional[_Union[_directory_pb2.HostRecord, _Mapping]] = ..., lease_ttl_nanos: _Optional[int] = ..., channels: _Optional[_Iterable[_Union[_channel_pb2.ChannelRecord, _Mapping]]] = ..., cluster_id: _Optional[str] = ..., protocol_version: _Optional[int] = ..., queues: _Optional[_Iterable[_Union[_queue_pb2.QueueRecord, _Mapping]]] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ...) -> None: ...
+    registered_index: int
+    def __init__(self, host: _Optional[_Union[_directory_pb2.HostRecord, _Mapping]] = ..., lease_ttl_nanos: _Optional[int] = ..., channels: _Optional[_Iterable[_Union[_channel_pb2.ChannelRecord, _Mapping]]] = ..., cluster_id: _Optional[str] = ..., protocol_version: _Optional[int] = ..., queues: _Optional[_Iterable[_Union[_queue_pb2.QueueRecord, _Mapping]]] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ..., registered_index: _Optional[int] = ...) -> None: ...
 
 class RenewHostLeaseRequest(_message.Message):
-    __slots__ = ("host_id", "boot_incarnation", "load")
+    __slots__ = ("host_id", "boot_incarnation", "load", "registered_index")
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     LOAD_FIELD_NUMBER: _ClassVar[int]
+    REGISTERED_INDEX_FIELD_NUMBER: _ClassVar[int]
     host_id: bytes
     boot_incarnation: int
     load: _directory_pb2.HostLoad
-    def __init__(self, host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., load: _Optional[_Union[_directory_pb2.HostLoad, _Mapping]] = ...) -> None: ...
+    registered_index: int
+    def __init__(self, host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., load: _Optional[_Union[_directory_pb2.HostLoad, _Mapping]] = ..., registered_index: _Optional[int] = ...) -> None: ...
 
 class RenewHostLeaseResponse(_message.Message):
     __slots__ = ("lease_ttl_nanos", "tenure", "cluster_id", "former_cluster_ids", "time_unix_nano")

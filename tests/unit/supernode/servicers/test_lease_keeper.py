@@ -48,6 +48,26 @@ async def test_a_renewal_under_another_boot_incarnation_is_refused(node: Node) -
     assert "data folder" in error.message
 
 
+async def test_a_host_renews_no_registration_that_it_does_not_know(node: Node) -> None:
+    """The lease has ended, and another host has a channel. Then an old request registers the host, which has
+    not learned of the end of its lease. In an earlier version, its next renewal succeeded, and both hosts served the
+    channel.
+    """
+    known = await node.register(1)
+    await node.open("cam")
+    await node.register(2)
+    await node.pass_seconds(4)
+    await node.renew(2)
+    await node.pass_seconds(3)
+    assert not (await node.host(1)).alive
+    assert (await node.open("cam")).host.name == "host-2"
+    late = await node.register(1)
+    error = await reason_of(node.renew(1, registered_index=known.registered_index))
+    assert error.reason == "LEASE_EXPIRED"
+    assert "register it again" in error.message
+    await node.renew(1, registered_index=late.registered_index)
+
+
 async def test_a_follower_names_the_leader(node: Node) -> None:
     node.log.leader_id = OTHER.member_id
     error = await reason_of(node.renew(1))

@@ -83,6 +83,7 @@ class Registration:
         self._reported_held = False  # the value that on_lease got last
         self._unrenewed_since_s: float | None = None  # when renewals began to fail; None: they succeed
         self._has_ended = False  # whether the lease has ended and the host has not registered since
+        self._registered_index = 0  # the log position of the registration that the host knows
         self._target = ""
         self._has_left = False
         self.clock: ClockOffset | None = None
@@ -222,6 +223,7 @@ class Registration:
             host_id=self._identity.host_id,
             boot_incarnation=self._identity.boot_incarnation,
             load=None if self._measure_load is None else self._measure_load(),
+            registered_index=self._registered_index,
         )
         sent, sent_unix_nano = self._clock.boottime_nanos(), self._clock.time_unix_nano()
         timeout_s = self._lease.ttl_nanos / RENEWALS_PER_TTL / 1e9
@@ -283,6 +285,7 @@ class Registration:
         await self._note_cluster(response)
         # Before the grant, so that the host serves no channel that another host owns.
         await self._on_registered(response)
+        self._registered_index = response.registered_index
         self._grant(sent, response.lease_ttl_nanos)
         self._note_registered(len(response.channels))
 

@@ -239,6 +239,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             protocol_version=PROTOCOL_VERSION,
             queues=[queue_record(queue) for queue in queues],
             former_cluster_ids=self._replica.read(lambda directory: directory.former_cluster_ids),
+            registered_index=registered.host.registered_index,
         )
 
     @errors_as_status
@@ -246,7 +247,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         """Makes no log entry. A changed load gets into the log with the loads of other hosts, see `host_loads`."""
         self._calls.check_host(context, request.host_id)
         ttl_nanos, tenure = await self._leases.renew(
-            request.host_id, request.boot_incarnation, seconds=seconds_left(context)
+            request.host_id, request.boot_incarnation, request.registered_index, seconds=seconds_left(context)
         )
         if request.HasField("load"):
             self._leases.loads.note(request.host_id, load_from(request.load))

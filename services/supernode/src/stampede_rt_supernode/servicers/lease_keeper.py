@@ -205,12 +205,17 @@ class LeaseKeeper:
     async def _let_others_run() -> None:
         await asyncio.sleep(0)
 
-    async def renew(self, host_id: bytes, boot_incarnation: int, *, seconds: float) -> tuple[int, int]:
+    async def renew(
+        self, host_id: bytes, boot_incarnation: int, registered_index: int, *, seconds: float
+    ) -> tuple[int, int]:
         """Prolong the lease of a host. Returns its TTL in nanoseconds and the tenure.
 
-        Raises NotLeader, LeaseExpired (register again), or Unavailable with reason NO_QUORUM.
+        `registered_index`: the registration that the host knows; 0: it does not state one. Raises NotLeader,
+        LeaseExpired (register again), or Unavailable with reason NO_QUORUM.
         """
-        return await self._renew(self._hosts, lambda: self._registered(host_id, boot_incarnation), seconds)
+        return await self._renew(
+            self._hosts, lambda: self._registered(host_id, boot_incarnation, registered_index), seconds
+        )
 
     async def renew_peer(
         self, peer_id: bytes, boot_incarnation: int, clock: ClockOffset | None, *, seconds: float
@@ -261,7 +266,7 @@ class LeaseKeeper:
             raise Unavailable(text, reason="NO_QUORUM")
         return status.tenure
 
-    def _registered(self, host_id: bytes, boot_incarnation: int) -> HostRecord:
+    def _registered(self, host_id: bytes, boot_incarnation: int, registered_index: int) -> HostRecord:
         try:
             host = self._replica.read(lambda directory: host_by_id(directory.tables, host_id))
         except HostNotFound as error:
@@ -269,6 +274,10 @@ class LeaseKeeper:
         check_boot(host, boot_incarnation)
         if not host.alive:
             raise _lapsed(host)
+        if registered_index not in (0, host.registered_index):
+            # An old request came late. The lease had ended, and other hosts may own the host's channels.
+            text = f"host {host.name} was registered again by a request whose answer it did not get; register it again"
+            raise LeaseExpired(text, metadata={"host": host.name})
         return host
 
     def _registered_peer(self, peer_id: bytes, boot_incarnation: int) -> PeerRecord:
