@@ -31,7 +31,8 @@ def drain(words: Sequence[str]) -> int:
         print_facts({"host": drained.host, "moved": drained.moved, "left": dict(drained.left)}, arguments.output)
     else:
         rows = [{"channel": name, "not moved because": reason} for name, reason in drained.left.items()]
-        print_rows(rows, arguments.output, none=f"{drained.moved} channels have moved away from {drained.host}")
+        moved = f"channels, queues and mailboxes that have moved away from {drained.host}: {drained.moved}"
+        print_rows(rows, arguments.output, none=moved)
     return 1 if drained.left_count else 0
 
 

@@ -47,10 +47,10 @@ class MoveInfo:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DrainInfo:
-    """A host whose channels were to move to other hosts.
+    """A host whose channels, queues and mailboxes were to move to other hosts.
 
-    `moved`: the number of channels that have moved. `left`: the channels that have not moved, by name, with the
-    reasons; at most 1000 of the `left_count` channels.
+    `moved`: the number of those that have moved. `left`: those that have not moved, by name, with the reasons; at most
+    1000 of `left_count`.
     """
 
     host: str

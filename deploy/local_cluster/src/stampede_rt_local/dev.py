@@ -150,8 +150,8 @@ def _welcome(cluster: LocalCluster, settings: DevSettings, seconds: float, page:
     parts = f"{_count(settings.supernodes, 'supernode')}, {_count(settings.hosts, 'host')}, 1 front-end"
     return f"""\
 Stampede RT is ready at {address} ({parts}; {seconds:.1f} s).
-{_kept(settings.archive)} Callers need the secret in {cluster.secret_file}, which
-programs of this user find by themselves.
+{_kept(settings.archive)}
+Callers need the secret in {cluster.secret_file}, which programs of this user find by themselves.
 {see}
 In another terminal:
 

@@ -297,3 +297,12 @@ def test_a_lost_item_that_is_put_again_releases_the_gets_that_wait_for_it() -> N
     answer = channel.poll(pending, CLOCK)
     assert isinstance(answer, ReadAnswer)
     assert times_of(answer.slices) == [CLOCK - 15]
+
+
+def test_the_reason_for_items_that_only_an_archive_can_have_names_no_limit_of_memory() -> None:
+    channel = a_channel(max_items=9)
+    channel.restore((), after=CLOCK - 100, next_seq=5, loss=(None, None))
+    put(channel, CLOCK)
+    reason = get(channel, CLOCK - 1000, CLOCK).reason
+    assert reason == "COLLECTED"
+    assert reason.detail.startswith("the read reaches back only to 1970-01-01T00:00:00.000999901Z: the limits")

@@ -87,8 +87,6 @@ class ChannelLimits:
             return f"max_age ({format_duration(self.max_age_nanos)}{more})"
         if cause == "consumption":
             return f"consumers ({self.consumers})" if self.consumers else "an earlier number of consumers"
-        if cause == "archive":
-            return "the end of the archive"
         if cause == "count":
             return f"max_items ({self.max_items})"
         return f"max_bytes ({self.max_bytes})" if cause == "bytes" else f"an earlier max_{cause}"

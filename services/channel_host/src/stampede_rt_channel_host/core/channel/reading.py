@@ -9,7 +9,7 @@ from stampede_rt.errors import IncarnationLost
 from stampede_rt.values.model import Reason
 from stampede_rt.values.timeline import Bound, Interval, Match, ResolvedInterval, format_instant
 from stampede_rt_channel_host.core.channel.former_incarnations import FormerIncarnation
-from stampede_rt_channel_host.core.channel.held_items import HeldItems
+from stampede_rt_channel_host.core.channel.held_items import ARCHIVE, HeldItems
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.retention import Retention
 from stampede_rt_channel_host.core.channel.run import Slice
@@ -276,11 +276,17 @@ class QueryReader:
 
     def _collected(self) -> Reason:
         held = self._held
-        policy = self._retention.limits.describe(held.collected_by)
         gone_before = held.gone_before or 0
         if held.oldest is not None:  # a part of the oldest bucket may be collected
             gone_before = min(gone_before, held.oldest + held.overlap_nanos + 1)
         before = format_instant(gone_before)
+        if held.collected_by == ARCHIVE:
+            return Reason(
+                "COLLECTED",
+                f"the read reaches back only to {before}: the limits of the archive have removed earlier items, "
+                "another host has them, or they are not in memory",
+            )
+        policy = self._retention.limits.describe(held.collected_by)
         return Reason("COLLECTED", f"{policy} has collected the items before {before}")
 
     def _nothing_yet(self, query: Query, region: ResolvedInterval) -> Reason:
