@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator
 from itertools import pairwise
+from typing import Any
 
 import grpc
 import pytest
@@ -22,6 +23,7 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.listing import NAMES_PER_PIECE, STATUSES_PER_PIECE, page_of
 from stampede_rt_channel_host.channels.observers import OBSERVERS_PER_PIECE
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
+from stampede_rt_channel_host.channels.puts.ack_writer import RUNS_PER_TURN
 from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
 from stampede_rt_channel_host.channels.puts.puts import ITEMS_OFFERED_MAX, PUTS_PER_PIECE
 from stampede_rt_channel_host.channels.store import CHANNELS_ENDED_PER_PIECE, ChannelStore
@@ -29,6 +31,8 @@ from stampede_rt_channel_host.channels.subscriptions import subscription
 from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.core.channel import Pieces
 from stampede_rt_channel_host.core.records import RecordedChannel
+from tests.support.channel_host.queue_rig import run_of as queue_run_of
+from tests.support.channel_host.queue_rig import running_queue_host
 from tests.support.channel_host.rig import HOST_ID, OpenedChannel, Rig, run_of, running_host
 
 REQUEST_ID = b"0123456789abcdef"
@@ -252,3 +256,50 @@ async def test_refused_subscriptions_and_binds_are_counted_and_other_errors_are_
     with pytest.raises(grpc.aio.AioRpcError, match="the limit"):
         await rig.open("b")
     assert await refused_calls() == (2, True)
+
+
+class Turns:
+    """Counts the calls of a function in each turn of the event loop."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, owner: Any, name: str) -> None:
+        self.counts = [0]
+        self._call = getattr(owner, name)
+        monkeypatch.setattr(owner, name, self._counted)
+        self._turns = asyncio.create_task(self._count_turns())
+
+    def _counted(self, *arguments: Any) -> Any:
+        self.counts[-1] += 1
+        return self._call(*arguments)
+
+    async def _count_turns(self) -> None:
+        while True:  # ends with the test
+            self.counts.append(0)
+            await asyncio.sleep(0)
+
+    def end(self) -> list[int]:
+        self._turns.cancel()
+        return self.counts
+
+
+async def test_a_few_runs_of_a_large_request_of_puts_are_judged_in_each_turn(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    channel = await rig.open()
+    turns = Turns(monkeypatch, rig.host.store.find(channel.channel_id, channel.epoch).puts, "put")
+    acks = await channel.put(*(run_of(b"x", number=number) for number in range(1, 101)))
+    assert [ack.first_seq for ack in acks] == [*range(1, 101)]
+    counts = turns.end()
+    assert (sum(counts), max(counts)) == (100, RUNS_PER_TURN)
+
+
+async def test_a_few_runs_of_a_large_request_of_messages_are_judged_in_each_turn(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with running_queue_host() as rig:
+        queue = rig.open()
+        await queue.put(b"first")
+        turns = Turns(monkeypatch, rig.host.queues.find(queue.queue_id, queue.record.epoch).queue, "enqueue")
+        acks = await queue.enqueue(*(queue_run_of(b"x", number=number) for number in range(1, 101)))
+        counts = turns.end()
+    assert [ack.first_seq for ack in acks] == [*range(2, 102)]
+    assert (sum(counts), max(counts)) == (100, RUNS_PER_TURN)

@@ -14,7 +14,7 @@ from grpc.aio import EOF
 from stampede_rt.errors import InvalidArgument, PermissionDenied, StampedeError
 from stampede_rt.v1 import channel_service_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
-from stampede_rt_channel_host.channels.puts.ack_writer import AckWriter
+from stampede_rt_channel_host.channels.puts.ack_writer import RUNS_PER_TURN, AckWriter
 from stampede_rt_channel_host.channels.puts.acks import refused
 from stampede_rt_channel_host.channels.puts.held_acks import HeldAck
 from stampede_rt_channel_host.channels.puts.read_ahead import ReadAhead
@@ -110,6 +110,8 @@ class EnqueueStream:
         self._work.spend_read()
         while runs:
             await self._acks.add(await self._enqueue(runs, received_s, failure))
+            if runs and len(runs) % RUNS_PER_TURN == 0:
+                await asyncio.sleep(0)
         self._acks.wake()
         await asyncio.sleep(0)  # let the writer send this ack before the next read begins
 

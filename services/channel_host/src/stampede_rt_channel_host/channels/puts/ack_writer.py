@@ -13,6 +13,10 @@ from stampede_rt_runtime.rpc import Context, StartedCoroutine
 # The most acks that wait for the writer, and so the most acks in one message. Even if each ack has 256 refused items,
 # the message stays below its size limit.
 ACKS_QUEUED_MAX = 256
+RUNS_PER_TURN = 4
+"""A stream judges this number of runs of a request in one turn of the event loop. A run of 256 items whose times lie
+between the times of held items takes 1.5 ms.
+"""
 
 
 class AckWriter:

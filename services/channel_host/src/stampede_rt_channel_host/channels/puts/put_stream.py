@@ -21,7 +21,7 @@ from stampede_rt.status import from_error_message
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.request_pieces import PIECE_TAG
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.puts.ack_writer import AckWriter
+from stampede_rt_channel_host.channels.puts.ack_writer import RUNS_PER_TURN, AckWriter
 from stampede_rt_channel_host.channels.puts.acks import refused
 from stampede_rt_channel_host.channels.puts.held_acks import HeldAck
 from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
@@ -156,6 +156,8 @@ class PutStream:
             else:
                 ack = await self._put(received)
             await self._acks.add(ack)
+            if received.puts and len(received.puts) % RUNS_PER_TURN == 0:
+                await asyncio.sleep(0)
         if received.is_single:
             await self._acks.write()
             return
