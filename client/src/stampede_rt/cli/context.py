@@ -55,7 +55,7 @@ def _named_verb(verbs: Any, name: str, text: str, run: Callable[[argparse.Namesp
 
 
 def run_add(arguments: argparse.Namespace) -> int:
-    """Save a context. The first one is also chosen."""
+    """Save a context. Choose it, too, if no other context is chosen."""
     from stampede_rt.cluster.addresses import parse_addresses
 
     if not NAME.fullmatch(arguments.name):
