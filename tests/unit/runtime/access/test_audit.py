@@ -64,6 +64,11 @@ def test_the_callers_that_the_audit_log_remembers_are_bounded() -> None:
     assert len(log._last) == CALLERS_MAX
 
 
+def test_an_address_of_ipv6_is_written_with_its_brackets(caplog: pytest.LogCaptureFixture) -> None:
+    AuditLog().denied(CAM, "ipv6:%5B::1%5D:5", "put", "channel video")
+    assert [vars(one)["address"] for one in caplog.records] == ["ipv6:[::1]:5"]
+
+
 def test_changes_are_always_reported(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     log = AuditLog(Clock())

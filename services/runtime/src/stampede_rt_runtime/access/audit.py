@@ -10,6 +10,7 @@ import logging
 import time
 from collections import OrderedDict
 from collections.abc import Callable
+from urllib.parse import unquote
 
 from stampede_rt_runtime.access.caller import Caller
 
@@ -72,7 +73,7 @@ def _facts(caller: Caller | None, address: str, verb: str, name: str, result: st
         "who": caller.name if caller is not None else "",
         "proof": caller.kind if caller is not None else "none",
         "serial": caller.serial if caller is not None else "",
-        "address": address,
+        "address": unquote(address),  # gRPC writes ipv6:%5B::1%5D:5 for ipv6:[::1]:5
         "verb": verb,
         "thing": name,
         "result": result,
