@@ -133,3 +133,15 @@ def test_an_advance_completes_an_interval_from_its_acceptance_on(rt: st.Connecti
     assert channel.get(*interval, as_of=first.past.next_change).complete
     channel.put(b"two", time=began + 20 * MS)
     assert channel.get(*interval, as_of=host_now(channel)).complete
+
+
+def test_a_channel_that_is_recorded_later_says_that_its_archive_lacks_the_earlier_items(rt: st.Connection) -> None:
+    """In an earlier version, such a read said NOT_YET until the archive had its first item."""
+    channel, began = rt.channel("past/recorded-later", max_items=3), time.time_ns() - SECOND
+    channel.put(b"early", time=began)
+    channel.configure(archive="7d")
+    early = channel.get(began, began, as_of=host_now(channel))
+    assert (payloads(early), early.reason, early.truncated) == (b"", "COLLECTED", True)
+    channel.put(b"late", time=began + MS)
+    late = channel.get(began, st.NOW, as_of=host_now(channel))
+    assert (payloads(late), late.reason) == (b"late", "COLLECTED")

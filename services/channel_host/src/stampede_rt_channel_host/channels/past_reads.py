@@ -99,13 +99,13 @@ class PastReader:
             await asyncio.sleep(RETRY_SECONDS)
 
     async def _read(self, query: Query, as_of: int, scheduler: PieceScheduler, horizon: Horizon | None) -> PastAnswer:
-        past, segments = await self._past(as_of)
+        past, segments, begin = await self._past(as_of)
         summary = _summary(past)
         channel, span = self._channel, span_of(past.segments)
         facts = PastFacts(channel.policy, channel.incarnation, past.advance, channel.lost_before, channel.lost_from)
         moment = past_moment(facts, past, span, as_of)
         within = resolved(moment, span, query)
-        has_dropped = span_of(segments).has_dropped(channel.lost_before, channel.lost_from)
+        has_dropped = span_of(segments, begin).has_dropped(channel.lost_before, channel.lost_from)
         if is_nothing_left(segments, past, has_dropped=has_dropped):
             return PastAnswer(nothing_left(segments, past, within, as_of, channel.incarnation), False, summary)
         if horizon is not None:
@@ -122,13 +122,16 @@ class PastReader:
             await self._load(read, past, scheduler)
         return view
 
-    async def _past(self, as_of: int) -> tuple[PastArchive, tuple[Segment, ...]]:
-        """The archive as of an instant, with the facts about the next change; and all segments of the archive."""
+    async def _past(self, as_of: int) -> tuple[PastArchive, tuple[Segment, ...], int]:
+        """The archive as of an instant, with the facts about the next change; all segments of the archive; and the seq
+        with which it begins if it has no segments.
+        """
         while True:
-            segments, since = self._recorder.segments, self._recorder.waiting_since
+            recorder = self._recorder
+            segments, since, begin = recorder.segments, recorder.waiting_since, recorder.archived_to
             past = await self._archive.past(self._recorder.files, segments, as_of)
             if since is None or past.next_items is not None or past.next_advance is not None:
-                return past, segments
+                return past, segments, begin
             await self._archived(since)
 
     async def _load(self, read: ArchivedRead, past: PastArchive, scheduler: PieceScheduler) -> None:
