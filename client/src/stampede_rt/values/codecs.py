@@ -123,7 +123,8 @@ class HandleCodec:
             payload = self.codec.encode(value)
         except Exception as error:
             raise CodecError(
-                f"{self.thing}: a {type(value).__name__} cannot be encoded as {self.content_type}: {error}"
+                f"{self.thing}: a value of type {type(value).__name__} cannot be encoded as {self.content_type}: "
+                f"{error}"
             ) from error
         return check_payload(payload)
 

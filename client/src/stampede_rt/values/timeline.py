@@ -84,11 +84,15 @@ def parse_item_duration(value: DurationLike | int | None) -> int | None:
     return nanos
 
 
-def parse_instant(value: InstantLike, what: str = "a time") -> int:
+INSTANT_FORMS = "int nanoseconds since the epoch or a datetime with a timezone"
+BOUND_FORMS = f'{INSTANT_FORMS}, or NOW, NEWEST or OLDEST, as in NOW - "5s"'
+
+
+def parse_instant(value: InstantLike, what: str = "a time", forms: str = INSTANT_FORMS) -> int:
     """Return an instant as int nanoseconds since the epoch. `value` is such an int, or a datetime with a timezone.
 
-    Raises InvalidArgument for another type, for a datetime without a timezone, and for an instant that does not fit
-    into 64 bits.
+    `forms` names the allowed values in error texts. Raises InvalidArgument for another type, for a datetime without a
+    timezone, and for an instant that does not fit into 64 bits.
     """
     if type(value) is int and MIN_INSTANT <= value <= MAX_INSTANT:
         return value
@@ -98,15 +102,11 @@ def parse_instant(value: InstantLike, what: str = "a time") -> int:
             raise InvalidArgument(f"{what} is {shown} without a timezone; give it one, as in datetime.now(UTC)")
         return _in_range(_nanos_of(value - _EPOCH), value, what)
     if isinstance(value, bool | float | str):
-        raise InvalidArgument(
-            f"{what} is {value!r}; give int nanoseconds since the epoch or a datetime with a timezone"
-        )
+        raise InvalidArgument(f"{what} is {value!r}; give {forms}")
     try:
         instant = operator.index(value)
     except TypeError:
-        raise InvalidArgument(
-            f"{what} is {value!r}; give int nanoseconds since the epoch or a datetime with a timezone"
-        ) from None
+        raise InvalidArgument(f"{what} is {value!r}; give {forms}") from None
     return _in_range(instant, value, what)
 
 
@@ -185,7 +185,7 @@ BoundLike = Bound | InstantLike
 
 def parse_bound(value: BoundLike, what: str = "a bound") -> Bound:
     """Return `value` as a bound. Raises InvalidArgument if `value` is neither a bound nor an instant."""
-    return value if isinstance(value, Bound) else Bound(None, parse_instant(value, what))
+    return value if isinstance(value, Bound) else Bound(None, parse_instant(value, what, BOUND_FORMS))
 
 
 def last(duration: DurationLike) -> tuple[Bound, Bound]:

@@ -75,6 +75,13 @@ def test_a_value_that_loses_digits_or_needs_a_guess_is_not_parsed_as_an_instant(
         parse_instant(wrong)  # type: ignore[arg-type]
 
 
+def test_the_error_for_a_wrong_bound_names_the_meta_times_and_the_error_for_a_wrong_time_does_not() -> None:
+    with pytest.raises(InvalidArgument, match=r'timezone, or NOW, NEWEST or OLDEST, as in NOW - "5s"$'):
+        parse_interval("5s", NOW)
+    with pytest.raises(InvalidArgument, match=r"a time is '5s'; give int nanoseconds .* a datetime with a timezone$"):
+        parse_instant("5s")  # type: ignore[arg-type]
+
+
 def test_the_sum_of_offsets_is_shown_as_written() -> None:
     assert str(NEWEST - "30ms" - "20ms") == "newest - 50 ms"
     assert NOW - "1s" + "1s" == NOW
