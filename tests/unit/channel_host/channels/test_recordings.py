@@ -222,6 +222,21 @@ async def test_before_its_first_write_a_new_owner_knows_that_a_file_of_the_forme
 
 
 @pytest.mark.asyncio
+async def test_before_its_first_write_a_host_to_which_a_channel_moves_back_knows_that_it_lacks_items(
+    tmp_path: Path,
+) -> None:
+    """The items of the time at the other host that have left memory. In an earlier version, reads gave no reason."""
+    async with host(tmp_path / "a", None) as one:
+        await one.serve(1)
+        await one.write(2)
+        one.archive.forget(one.recorder)
+        await take_over(one, 6, [4, 5])
+        assert [one.end_seq for one in one.recorder.segments] == [3]
+        assert [one.end_seq for one in one.recorder.readable_segments] == [4]
+        await one.archive.write_all()
+
+
+@pytest.mark.asyncio
 async def test_a_channel_that_moves_to_the_folder_of_a_lost_owner_has_no_seq_twice(tmp_path: Path) -> None:
     """In an earlier version, the next owner of a folder began with the seq 1. After a move to the folder of the lost
     owner, a reader that continued after an item of the next owner got items of the lost one.

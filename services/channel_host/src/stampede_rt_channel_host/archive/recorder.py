@@ -28,11 +28,9 @@ from stampede_rt_channel_host.core.archive import (
 from stampede_rt_channel_host.core.channel import ChannelCore, Run
 from stampede_rt_channel_host.core.channel.acceptances import Acceptances, AcceptedAdvance
 
-RUNS_PER_WRITE = 2048  # it takes about 2 ms to gather this many runs
+RUNS_PER_WRITE = SLICES_PER_NOTE = 2048  # to gather this many runs takes about 2 ms, to look at as many slices 1 ms
 BYTES_PER_WRITE, WRITE_FROM_BYTES = 16 * 2**20, 4 * 2**20  # the most in a write; the waiting bytes that begin a write
-SLICES_PER_NOTE = 2048  # a look at this many takes about 1 ms
-GAPS_KEPT = 64
-ADVANCES_MAX = 4096  # if so many wait for the archive, a new one replaces the latest of them
+GAPS_KEPT, ADVANCES_MAX = 64, 4096  # if so many advances wait for the archive, a new one replaces the latest of them
 SETTLE_SECONDS_MAX = 1.0  # the longest wait of a reader for a write that has items which have left memory
 Part = list[ArchivedRun] | MissingSeqs | Advances
 
@@ -191,12 +189,14 @@ class ChannelRecorder:
 
     @property
     def readable_segments(self) -> tuple[Segment, ...]:
-        """The segments as reads see them: the last one also has the seqs of lost items that no file names yet, and of
-        items in a file of the former owner that has not come."""
-        last = self.segments[-1] if self.segments else None
-        end_seq = 0 if last is None else max(last.end_seq, self.archived_to) + self.lost_items
-        is_all = last is None or end_seq == last.end_seq
-        return self.segments if is_all or last is None else (*self.segments[:-1], last._replace(end_seq=end_seq))
+        """The segments as reads see them: the last one also has the seqs of items that no file has or names yet, and
+        that memory does not have. They are lost, or in a file of the former owner that has not come."""
+        if not self.segments:
+            return ()
+        last, held = self.segments[-1], next(self._channel.accepted_from(self.archived_to), None)
+        held_from = self._channel.next_seq if held is None else held.first_seq
+        end_seq = max(max(last.end_seq, self.archived_to) + self.lost_items, held_from)
+        return (*self.segments[:-1], last._replace(end_seq=end_seq))
 
     @property
     def has_all_items(self) -> bool:
