@@ -8,7 +8,7 @@ from stampede_rt.errors import Unavailable
 from stampede_rt_channel_host.channels.owned_replicas import SAME_TURN_WRITES_MAX, OwnedReplicas
 from stampede_rt_channel_host.core.replication import KnownReplica, ReplicasInSync
 
-REPLICA, START, NEXT = b"r" * 16, 5, 6
+REPLICA, OTHER, START, NEXT = b"r" * 16, b"o" * 16, 5, 6
 FENCED = Unavailable("the host could not renew its lease in time")
 
 
@@ -64,6 +64,23 @@ def test_a_replica_without_its_flag_in_the_directory_counts_no_more() -> None:
     assert replicas.copies(NEXT) == 1, "the log has cleared the flag once more"
     replicas.join()
     assert replicas.copies(NEXT) == 2
+
+
+def test_the_owner_waits_for_a_replica_that_has_a_flag_of_which_the_owner_did_not_know() -> None:
+    """Another owner has set the flag. In an earlier version, the owner acknowledged puts that the replica lacked, and
+    this replica could become the owner.
+    """
+    replicas = Replicas()
+    replicas.know([KnownReplica(REPLICA, 1, False), KnownReplica(OTHER, 1, False)])
+    replicas.join()
+    replicas.know([KnownReplica(REPLICA, 1, True), KnownReplica(OTHER, 1, True)])
+    replicas._in_sync.put(NEXT + 1)
+    replicas.report(REPLICA, replicas.feed, NEXT + 1)
+    assert replicas.replicated_next == NEXT
+    (change,) = replicas.changes()
+    assert (change.host_id, change.in_sync) == (OTHER, False)
+    replicas.confirm(change)
+    assert replicas.replicated_next == NEXT + 1
 
 
 def test_all_feeds_end_that_have_sent_something_which_the_owner_could_not_store() -> None:

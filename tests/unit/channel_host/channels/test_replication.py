@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from stampede_rt.errors import Overloaded
@@ -51,6 +53,19 @@ async def test_items_that_leave_before_the_replicas_have_them_count_as_memory_an
     assert hosted.channel.next_seq == accepted + 1
     put(hosted, clock, frame)
     assert memory.used_bytes < 2 * FRAME_BYTES
+
+
+@pytest.mark.parametrize(("epoch", "is_known"), [(2, True), (3, False)])
+@pytest.mark.asyncio
+async def test_an_owner_lists_its_replicas_anew_if_its_epoch_shows_another_owner(epoch: int, is_known: bool) -> None:
+    """The other owner may have changed the flags, and may have given replicas items that this host lacks."""
+    hosted = channel_without_replicas_in_sync(MemoryBudget(2**40), ManualClock())
+    hosted.begin_move().hold()
+    hosted.update(replace(hosted.record, epoch=epoch))
+    assert hosted.moving is None
+    assert hosted.replication is not None
+    assert hosted.replication.is_known is is_known
+    assert hosted.replication.since_epoch == (1 if is_known else 3)
 
 
 @pytest.mark.asyncio

@@ -149,7 +149,7 @@ class HostedChannel:
         if (record.epoch, record.spec_version) != (self.epoch, self.record.spec_version):
             self.close_ring()
         if self.moving is not None and record.epoch > self.record.epoch:  # a move to another host has failed
-            own_again(self.replication, record, is_fallback=self.is_fallback)
+            own_again(self.replication, self.record.epoch, record.epoch)
             self.end_move()
         if record.spec_version != self.record.spec_version:
             now = self._now()

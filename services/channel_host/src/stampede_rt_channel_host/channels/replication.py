@@ -12,7 +12,6 @@ from stampede_rt.values.model import Policy
 from stampede_rt.wire.run_slices import slice_run
 from stampede_rt_channel_host.channels.owned_replicas import READY_SECONDS_MAX, OwnedReplicas, OwnersFeed
 from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, ChannelCore, NewItem, Pieces, ReplicatedView
-from stampede_rt_channel_host.core.records import RecordedChannel
 from stampede_rt_channel_host.core.replication import ReplicasInSync, ReplicaState
 
 UNSEEN_BYTES_MAX = 64 * 2**20
@@ -220,12 +219,13 @@ class Replication(OwnedReplicas[ReplicaFeed]):
             self._on_shown(now)
 
 
-def own_again(replication: Replication | None, record: RecordedChannel, *, is_fallback: bool) -> None:
-    """Note that a move has failed, and that `record` names this host as the owner. `is_fallback`: the directory had
-    committed the move.
+def own_again(replication: Replication | None, former_epoch: int, epoch: int) -> None:
+    """Note that a move has failed, and that this host is the owner in another epoch.
+
+    If `epoch` does not follow `former_epoch`, another host was the owner meanwhile, even if this host never learned it.
     """
-    if replication is not None and is_fallback:
-        replication.own_again(record.epoch)
+    if replication is not None and epoch > former_epoch + 1:
+        replication.own_again(epoch)
 
 
 def diverged_host_ids_of(replication: Replication | None) -> frozenset[bytes]:

@@ -128,8 +128,8 @@ class ReplicasInSync:
             if one.host_id not in self._replicas:
                 state = ReplicaState.IN if one.in_sync else ReplicaState.OUT
                 self._replicas[one.host_id] = _Replica(one.boot_incarnation, state, self._next_seq, now)
-            elif not one.in_sync and self._replicas[one.host_id].state is ReplicaState.IN:
-                # a caller has removed the replica and added it again
+            elif self._replicas[one.host_id].state is (ReplicaState.OUT if one.in_sync else ReplicaState.IN):
+                # a caller has removed the replica and added it again, or another owner has changed the flag meanwhile
                 self._become(self._replicas[one.host_id], ReplicaState.LEAVING, now)
         self._is_known = True
         self._advance_replicated()
