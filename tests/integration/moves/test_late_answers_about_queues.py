@@ -111,6 +111,24 @@ async def test_a_replica_does_not_own_its_queue_because_a_watch_reports_the_time
     assert move.queues.copies.of(move.queue.queue_id) is not None
 
 
+async def test_messages_of_a_former_incarnation_are_not_served_under_a_new_one(move: Move) -> None:
+    """The former owner was lost. A caller opened the queue at the host to which the queue was about to move."""
+    directory: Any = move.arrivals._directory
+    commit = directory.commit_queue
+
+    async def committed_by_a_caller(*arguments: Any) -> Any:
+        record = await commit(*arguments)
+        present = move.source.directory.queues[move.queue.queue_id]
+        present.incarnation += 1
+        return replace(record, incarnation=present.incarnation)
+
+    directory.commit_queue = committed_by_a_caller
+    await move.make()
+    hosted = move.queues.known(move.queue.queue_id)
+    assert hosted is not None
+    assert hosted.queue.incarnation == hosted.record.incarnation
+
+
 def _empty(move: Move) -> Any:
     """The state of a queue."""
     hosted = move.source.host.queues.known(move.queue.queue_id)

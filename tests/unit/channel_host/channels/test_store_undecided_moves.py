@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
 import pytest
@@ -44,6 +45,17 @@ async def test_a_channel_gets_its_new_policy_when_its_move_has_failed() -> None:
         present = await rig.host.store.bind(record.channel_id, record.epoch, record.spec_version)
         assert present is not hosted
         assert (present.moving, present.kind_of_replicas) == (None, ReplicationKind.LAGGING)
+
+
+async def test_calls_that_wait_for_a_move_go_on_when_the_channel_gets_its_new_policy() -> None:
+    """In an earlier version they waited for five seconds, and then failed."""
+    async with running_host() as rig:
+        hosted, record = await held_channel(rig)
+        waiting = asyncio.create_task(hosted.moving.decided())
+        await asyncio.sleep(0)
+        record.epoch += 1
+        await rig.host.store.bind(record.channel_id, record.epoch, record.spec_version)
+        await waiting
 
 
 async def test_a_channel_gets_its_new_policy_when_it_has_moved_here() -> None:

@@ -53,21 +53,23 @@ class MoveUnderWay:
         self._wait()
 
     def stop(self) -> None:
-        """Stop refusing puts, because this host drops the channel, or the move is over. Idempotent."""
+        """Stop refusing puts, because this host drops or replaces the channel, or the move is over. Idempotent.
+
+        Other calls that wait continue. They look for the channel again.
+        """
         if self._timer is not None:
             self._timer.cancel()
+        self._over.set()
 
     def end(self) -> None:
         """End the move, because this host owns the channel now: perform the waiting calls."""
         self.stop()
-        self._over.set()
         self._puts.release()
 
     def gone(self, redirect_error: StampedeError) -> None:
         """Send the waiting calls to another host, which owns the channel now."""
-        self.stop()
         self.redirect_error = redirect_error
-        self._over.set()
+        self.stop()
 
     async def decided(self) -> None:
         """Wait until changes of the channel need not wait. Raises Overloaded after HELD_SECONDS_MAX."""

@@ -116,7 +116,7 @@ class QueueHandovers:
                 if not self._is_under_way(hosted):
                     return
                 self._queues.adopt(present)
-                extra = {"event": "move_ended", "channel": display_name(record)}
+                extra = {"event": "move_ended", "queue": display_name(record)}
                 logger.info("a move of a queue has failed; the queue stays", extra=extra)
             except StaleBinding:
                 await self._learn_owner(hosted)
@@ -159,6 +159,6 @@ async def _send(parts: Iterator[pb.HandOverQueueResponse], keeping: Awaitable[No
 
 
 async def _try_again(record: RecordedQueue, error: StampedeError) -> None:
-    extra = {"event": "move_undecided", "channel": display_name(record), "why": str(error)}
+    extra = {"event": "move_undecided", "queue": display_name(record), "why": str(error)}
     logger.info("cannot ask the directory for the outcome of a move; the host tries again", extra=extra)
     await asyncio.sleep(RETRY_SECONDS)

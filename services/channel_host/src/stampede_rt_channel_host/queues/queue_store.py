@@ -313,7 +313,9 @@ class QueueStore:
         self.check_room(record)
         epoch, arrived = self._arriving.pop(record.queue_id, (0, None))
         inherited = self.copies.inherit(record)
-        content = arrived if epoch == record.epoch else inherited
+        # It has another incarnation if the former owner was lost and a caller opened the queue before the commit.
+        has_arrived = arrived is not None and epoch == record.epoch and arrived.core.incarnation == record.incarnation
+        content = arrived if has_arrived else inherited
         queue_parts = self.memory, self.now, self._on_dead_letters, self.deadlines, self.may_serve
         hosted = HostedQueue(record, *queue_parts, content)
         hosted.registration = self.registrations
