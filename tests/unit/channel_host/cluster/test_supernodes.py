@@ -58,3 +58,20 @@ async def test_a_call_asks_another_supernode_if_the_cluster_removes_the_stopped_
                 await asking
         finally:
             await supernodes.aclose()
+
+
+async def test_a_broken_stream_does_not_change_the_order_of_calls_and_the_next_one_goes_to_another_supernode() -> None:
+    """In an earlier version, each call first asked the supernode whose stream had broken."""
+    leader, follower = FakeDirectory(), FakeDirectory()
+    leader.refuse["Watch"] = follower.refuse["Watch"] = Unavailable("the supernode stops", reason="SHUTTING_DOWN")
+    async with serving(leader.register) as first, serving(follower.register) as second:
+        leader.target, leader.others = second.address, [first.address]
+        supernodes = Supernodes((first.address,), lambda target: dial(target, secret=None), peer_name="h1")
+        try:
+            for _ in range(2):
+                with pytest.raises(Unavailable):
+                    await anext(supernodes.stream("Watch", pb.WatchRequest()))
+                assert supernodes.known() == (first.address, second.address)
+        finally:
+            await supernodes.aclose()
+    assert (leader.calls["Watch"], follower.calls["Watch"]) == (1, 1)

@@ -19,6 +19,7 @@ from stampede_rt.wire.records import policy_to_spec
 from stampede_rt.wire.runs import run_parts
 from stampede_rt_channel_host.channels.copy_state import CopyState
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.copies import feed_opening
 from stampede_rt_channel_host.copies.copy_feed import GRANTS, RUNS_PER_TURN, CopyFeed
 from stampede_rt_channel_host.copies.fed_items import encode_answer
 from stampede_rt_channel_host.copies.fed_responses import FedResponse, read_response
@@ -93,6 +94,27 @@ async def fed(
         yield made
         made.producer.close()
         feed.close()
+
+
+async def test_feeds_that_wait_for_the_directory_do_not_exceed_the_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(feed_opening, "FEEDS_MAX", 1)
+    async with running_host() as rig:
+        record = rig.directory.add_channel("a", rig.host.identity.host_id, policy_to_spec(parse_policy(replicas=1)))
+        feeds = [await held_stream(rig.sockets, "/stampede_rt.v1.ReplicaService/Feed") for _ in range(2)]
+        hosted = await rig.host.store.bind_for_feed(record.channel_id, record.epoch)
+        hosts = [bytes([number]) * 16 for number in range(2)]
+        for feed, host_id in zip(feeds, hosts, strict=True):
+            opening = pb.FeedOpen(
+                channel_id=record.channel_id, epoch=1, host_id=host_id, target="replica:1", owner_facts=True
+            )
+            feed.send(pb.FeedRequest(open=opening, credit_bytes=WINDOW_BYTES, sent_nanos=1).SerializeToString())
+        await pauses()
+        assert hosted.replication is not None
+        hosted.replication.know([KnownReplica(one, 1, False) for one in hosts])
+        await pauses()
+        assert len([*(hosted.fed or ())]) == 1
+        for feed in feeds:
+            feed.close()
 
 
 async def pauses() -> None:

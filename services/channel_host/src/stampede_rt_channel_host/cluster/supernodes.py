@@ -68,6 +68,7 @@ class Supernodes:
         self._explain = explain
         self._targets: list[str] = []
         self._channels: dict[str, grpc.aio.Channel] = {}
+        self._broken_streams = 0
         self.cluster_id = ""  # as the front-ends name it; empty before the first answer
 
     async def call(
@@ -117,7 +118,8 @@ class Supernodes:
             await self.bind(time.monotonic() + BIND_SECONDS_MAX)
         if not self._targets:
             raise Unavailable("the front-ends name no supernode")
-        target = self._targets[-1]  # after a `bind` not the leader, if there are others: the leader has more work
+        # The first stream goes not to the leader, if there are others: the leader has more work.
+        target = self._targets[-1 - self._broken_streams % len(self._targets)]
         call = getattr(directory_service_pb2_grpc.DirectoryServiceStub(self._channel(target)), method)(request)
         try:
             async for response in call:
@@ -127,7 +129,7 @@ class Supernodes:
                 raise
             raise closed(target) from None
         except grpc.RpcError as error:
-            self._prefer(target)  # so that the next stream goes to another supernode
+            self._broken_streams += 1
             raise from_rpc_error(error, target) from error
         finally:
             call.cancel()

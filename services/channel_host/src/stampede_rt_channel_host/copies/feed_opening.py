@@ -22,8 +22,7 @@ def check_named_host(opening: pb.FeedOpen) -> None:
 async def fed_channel(store: ChannelStore, moves: OutgoingMoves, opening: pb.FeedOpen) -> HostedChannel:
     """The channel of a feed that begins. Raises the errors of `FeedStream.run`."""
     hosted = await store.bind_for_feed(opening.channel_id, opening.epoch)  # perhaps no caller has used it yet
-    if len([*(hosted.fed or ())]) >= FEEDS_MAX:
-        raise Overloaded(f"channel {hosted.record.name} has {FEEDS_MAX} feeds, the limit; end some")
+    check_feeds(hosted)
     if opening.owner_facts and hosted.copy is not None:
         raise refusals.copy_cannot(hosted.record.name, "does not know the facts that only the owner has")
     if opening.move_id:
@@ -31,6 +30,12 @@ async def fed_channel(store: ChannelStore, moves: OutgoingMoves, opening: pb.Fee
         # move must not cause this.
         moves.check(hosted, opening.host_id)
     return hosted
+
+
+def check_feeds(hosted: HostedChannel) -> None:
+    """Raises Overloaded if the channel has too many feeds."""
+    if len([*(hosted.fed or ())]) >= FEEDS_MAX:
+        raise Overloaded(f"channel {hosted.record.name} has {FEEDS_MAX} feeds, the limit; end some")
 
 
 def has_others_items(hosted: HostedChannel, opening: pb.FeedOpen) -> bool:

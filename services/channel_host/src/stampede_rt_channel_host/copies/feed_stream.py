@@ -25,7 +25,7 @@ from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.channels.subscriptions.credit import Credit, requests_of
 from stampede_rt_channel_host.copies.ahead_item_sender import AheadItemSender
 from stampede_rt_channel_host.copies.fed_items import encode_item, read_answer
-from stampede_rt_channel_host.copies.feed_opening import fed_channel, has_others_items
+from stampede_rt_channel_host.copies.feed_opening import check_feeds, fed_channel, has_others_items
 from stampede_rt_channel_host.copies.feed_responses import FeedResponses
 from stampede_rt_channel_host.copies.feed_writer import FeedWriter
 from stampede_rt_channel_host.copies.handoff_decision import HandoffDecision
@@ -151,6 +151,7 @@ class FeedStream:
                 self._move = self._moves.begin(hosted, opening.host_id, opening.target)
                 self._handoff = HandoffDecision(hosted, self._move, feed, when_idle=opening.hand_over_when_idle)
             else:
+                check_feeds(hosted)  # other feeds may have begun while this one waited
                 hosted.fed.add(copy)
             self._feed = feed
             self._observe(hosted, opening)

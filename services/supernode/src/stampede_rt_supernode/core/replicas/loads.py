@@ -1,4 +1,4 @@
-"""The loads of owners and copies, as their hosts last reported them to the leader (paper, section 4.1).
+"""The loads of copies, as their hosts last reported them to the leader (paper, section 4.1).
 
 Pure: methods take `now`, nanoseconds of a monotonic clock. Loads are not in the log. Each host reports to a new leader
 again.
@@ -15,10 +15,7 @@ REPORT_LOADS_MAX = 1000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReplicaLoad:
-    """The load of one host by one channel that it owns, or of which it holds a copy.
-
-    See ReplicaLoad in replica.proto. `lag_nanos` is 0 for the owner.
-    """
+    """The load of one host by one channel of which it holds a copy. See ReplicaLoad in replica.proto."""
 
     channel_id: bytes
     host_id: bytes
@@ -32,7 +29,7 @@ class ReplicaLoads:
     """The loads that hosts reported to this leader.
 
     The caller of `note` must check that the host holds the channels that it reports. So there are at most as many
-    entries as owners and copies. Entries older than LOAD_AGE_NANOS_MAX do not count, and a later `note` frees them.
+    entries as copies and owners. Entries older than LOAD_AGE_NANOS_MAX do not count, and a later `note` frees them.
     """
 
     def __init__(self) -> None:
