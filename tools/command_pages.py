@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 from collections.abc import Callable, Mapping
 from importlib.metadata import entry_points
@@ -24,6 +25,8 @@ SCRIPTS = ROOT / "client/src/stampede_rt/cli/completions"
 MAN_PAGE = ROOT / "client/man/stampede.1"
 SHELLS = ("bash", "zsh", "fish")
 WIDTH = "100"  # the columns of a usage in the man page
+USAGE = re.compile(r"^# Usage:\n(?:# .*\n)+", re.MULTILINE)
+PLACE = "# `stampede completion --help` says where to put this script.\n"
 COMPLETED = {"FILE": shtab.FILE, "OUT": shtab.FILE, "PATH": shtab.FILE, "FOLDER": shtab.DIRECTORY}
 ENVIRONMENT = {
     "STAMPEDE_URL": "HOST:PORT of the front-ends, comma-separated, unless --url names them. Default: localhost:7580.",
@@ -97,8 +100,10 @@ def _add_verb(verbs: Any, name: str, text: str, parser: argparse.ArgumentParser)
 
 
 def scripts(parser: argparse.ArgumentParser) -> dict[Path, str]:
-    """Return the text of each completion script."""
-    return {SCRIPTS / f"stampede.{shell}": shtab.complete(parser, shell) for shell in SHELLS}
+    """Return the text of each completion script. shtab's advice about its place would contradict the command's help."""
+    return {
+        SCRIPTS / f"stampede.{shell}": re.sub(USAGE, PLACE, shtab.complete(parser, shell), count=1) for shell in SHELLS
+    }
 
 
 def man_page(parser: argparse.ArgumentParser) -> str:

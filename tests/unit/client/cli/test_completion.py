@@ -33,7 +33,9 @@ def needs(program: str) -> pytest.MarkDecorator:
 @pytest.mark.parametrize("shell", SHELLS)
 def test_the_script_is_printed(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["completion", shell]) == 0
-    assert capsys.readouterr().out == (SCRIPTS / f"stampede.{shell}").read_text()
+    script = capsys.readouterr().out
+    assert script == (SCRIPTS / f"stampede.{shell}").read_text()
+    assert "Copy this to" not in script, "only the help says where to put the script"
 
 
 @needs("bash")
