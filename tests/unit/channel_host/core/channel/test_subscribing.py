@@ -194,3 +194,13 @@ def test_a_cursor_of_another_incarnation_or_of_a_group_is_refused() -> None:
         channel.subscribe_all(CLOCK, saved=SavedCursor(incarnation=9, next_seq=1))
     with pytest.raises(InvalidArgument, match="group"):
         channel.subscribe_newest(CLOCK, saved=SavedCursor(incarnation=3, next_seq=1, cut=5))
+
+
+def test_a_saved_cursor_continues_within_the_held_items_if_retention_has_collected_items_after_its_start() -> None:
+    """In an earlier version, the reading of this cursor never ended, and the host served nothing any more."""
+    channel = a_channel(max_items=3)
+    put(channel, 10, 20, 30, 40)
+    saved = SavedCursor(incarnation=3, next_seq=3, low=(5, 0), live_seq=5)
+    cursor = channel.subscribe_all(CLOCK, saved=saved)
+    assert cursor.owed(channel.next_seq) == (3, 5)
+    assert seqs_of([one.slice for one in channel.since(cursor, CLOCK, ALL).slices]) == [3, 4]

@@ -200,9 +200,10 @@ class _Ranges:
         """The parts of the ranges from the seq `first` up to `end`, exclusive."""
         bounds, at = self._bounds, bisect_right(self._bounds, first)
         for low in range(at - at % 2, len(bounds), 2):
-            if bounds[low] >= end:
+            part = max(bounds[low], first), min(bounds[low + 1], end)
+            if part[0] >= part[1]:
                 return
-            yield max(bounds[low], first), min(bounds[low + 1], end)
+            yield part
 
     def takes(self, ranges: _Ranges) -> bool:
         """Append `ranges` if all of them lie above the present ranges. Otherwise append nothing, and return False."""
