@@ -3,7 +3,8 @@
 The explanation of an argument needs its noun, too, as in "`epoch`: the epoch of the channel". The rule is under "Plain
 prose" in CONTRIBUTING. A docstring may be a question ("Who leads?"). In texts and names the check also refuses the
 words of TWO_MEANINGS. No docstring may begin with "As `name`": say what the function does. No variable or function may
-have one of the VAGUE_NAMES, with or without an underscore before it. A program cannot check the other rules.
+have one of the VAGUE_NAMES, with or without an underscore before it. No variable may have a name such as `of_queues`,
+which lacks its noun. A program cannot check the other rules.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ VAGUE_NAMES = {
     "again", "asked", "brought", "came", "come", "coming", "go_on", "goes_on", "hear", "heard", "is_level", "lacks",
     "news", "said", "strays", "told",
 }  # fmt: skip
+NAMES_WITHOUT_NOUN = re.compile(r"\b_*of_\w+")
 PHRASES = re.compile(r"\b([Ww]hoever|by the book)\b|(`: of)\b|(`: (?:the|its) \w+'s)[.,;]")
 # The first words of a comment: a comment at the end of a line, or the first line of other comments.
 COMMENT_WORDS = re.compile(r"(?:^|  )(?:#:?|//) ([Ww]hat|[Ww]ho|[Ww]hoever|[Ww]hatever|[Ww]hose|[Tt]hose|[Oo]f)\b")
@@ -43,6 +45,9 @@ def complaints(path: str, source: str) -> Iterator[str]:
     for name, line in _assigned_names(tree) if any(map(_is_vague, re.findall(r"\w+", source))) else ():
         if _is_vague(name):
             yield f'{path}:{line}: name the thing that "{name}" holds, or what it does'
+    for name, line in _variables(tree) if NAMES_WITHOUT_NOUN.search(source) else ():
+        if NAMES_WITHOUT_NOUN.fullmatch(name):
+            yield f'{path}:{line}: name the thing that "{name}" holds'
     for node in _statements(tree):
         if found := _headless_words(node):
             line = getattr(node, "lineno", 1)
@@ -79,11 +84,20 @@ def _is_vague(name: str) -> bool:
     return name.lstrip("_") in VAGUE_NAMES
 
 
-def _assigned_names(tree: ast.AST) -> Iterator[tuple[str, int]]:
-    """Yield the names and lines of all variables, attributes, arguments and functions that a module defines."""
+def _variables(tree: ast.AST) -> Iterator[tuple[str, int]]:
+    """Yield the names and lines of all variables and attributes that a module defines, except arguments."""
     for node in ast.walk(tree):
         match node:
-            case ast.Name(id=name, ctx=ast.Store()) | ast.Attribute(attr=name, ctx=ast.Store()) | ast.arg(arg=name):
+            case ast.Name(id=name, ctx=ast.Store()) | ast.Attribute(attr=name, ctx=ast.Store()):
+                yield name, node.lineno
+
+
+def _assigned_names(tree: ast.AST) -> Iterator[tuple[str, int]]:
+    """Yield the names and lines of all variables, attributes, arguments and functions that a module defines."""
+    yield from _variables(tree)
+    for node in ast.walk(tree):
+        match node:
+            case ast.arg(arg=name):
                 yield name, node.lineno
             case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name):
                 yield name, node.lineno

@@ -122,10 +122,10 @@ def main() -> int:
     for line in lines:
         print(line)
     lengths = sorted(found.functions.values())
-    of_most = lengths[len(lengths) * 9 // 10]
+    percentile_90 = lengths[len(lengths) * 9 // 10]
     print(
         f"{len(found.files)} files of at most {max(found.files.values())} lines; {len(lengths)} functions of at most "
-        f"{lengths[-1]} lines, median {statistics.median(lengths):g}, nine tenths at most {of_most}"
+        f"{lengths[-1]} lines, median {statistics.median(lengths):g}, nine tenths at most {percentile_90}"
     )
     return 1 if lines else 0
 

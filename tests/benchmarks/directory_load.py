@@ -161,13 +161,15 @@ async def reconnect(cluster: Cluster, clients: int) -> list[Row]:
     """All clients together, several times: each opens a connection, and makes one confirmed lookup."""
     with ProcessPoolExecutor(CLIENT_PROCESSES, multiprocessing.get_context("spawn")) as processes:
         runs = [await measure_reconnections(cluster, clients, processes) for _ in range(RECONNECTIONS + 1)]
-    took, of_supernodes, of_clients = zip(*runs[1:], strict=True)  # without the first run, which imports the modules
+    took, supernode_seconds, client_seconds = zip(
+        *runs[1:], strict=True
+    )  # without the first run, which imports the modules
     halves = [statistics.median(run) for run in took]
     return [
         (f"{len(took[0]):,} clients connect at the same time and look up", f"half of them {spread(halves)}"),
         ("... the last of them", spread([max(run) for run in took])),
-        ("... CPU of the supernodes", spread(of_supernodes)),
-        ("... CPU of the clients", spread(of_clients)),
+        ("... CPU of the supernodes", spread(supernode_seconds)),
+        ("... CPU of the clients", spread(client_seconds)),
     ]
 
 

@@ -149,9 +149,9 @@ def measure(cluster: LocalCluster, workload: str, readers: int, rounds: int, sec
                 parts[stalled].append(putter.put_for(seconds, readers))
         channel.put(b"end")
         ages: list[Age] = [tuple(one) for child in children for one in json.loads(child.read_line())]
-    of_parts = {stalled: [ages_of(one, ages) for one in taken] for stalled, taken in parts.items()}
-    yield from (_row(workload, stalled, parts[stalled], of_parts[stalled]) for stalled in parts)
-    yield _cost(workload, parts[True], of_parts)
+    part_ages = {stalled: [ages_of(one, ages) for one in taken] for stalled, taken in parts.items()}
+    yield from (_row(workload, stalled, parts[stalled], part_ages[stalled]) for stalled in parts)
+    yield _cost(workload, parts[True], part_ages)
 
 
 def ages_of(part: RoundPart, ages: Sequence[Age]) -> Ages:

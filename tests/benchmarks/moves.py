@@ -151,8 +151,13 @@ class Load:
     def wrong(self) -> list[str]:
         """The producers and readers that saw an item twice, or not at all."""
         last, jobs = self.putting.seqs[-1], self.jobs.seqs
-        of_frames = {"put": [self.putting], "subscription": self.subscribed, "get": self.got, "cut event": [self.cut]}
-        found = [what for what, those in of_frames.items() for one in those if not one.is_whole(last)]
+        frame_counts = {
+            "put": [self.putting],
+            "subscription": self.subscribed,
+            "get": self.got,
+            "cut event": [self.cut],
+        }
+        found = [what for what, those in frame_counts.items() for one in those if not one.is_whole(last)]
         found += [] if self.jobs.is_whole(jobs[-1]) else ["put into the queue"]
         return found + ([] if sorted(self.taken.seqs) == [*range(len(jobs))] else ["take"])
 
@@ -162,20 +167,20 @@ def measure(moves: int, readers: int) -> None:
     load = os.getloadavg()[0]
     with running_cluster(hosts=3, supernodes=1) as cluster, st.connect(cluster.address, transport="grpc") as rt:
         all_of = Load(rt, readers)
-        of_channel, of_queue, held, held_queue = [], [], [], []
+        channel_moves, queue_moves, held, held_queue = [], [], [], []
         for move in range(moves):
-            of_channel.append(timed(held, lambda: rt.move("cam", HOSTS[move % 3])))  # noqa: B023
-            of_queue.append(timed(held_queue, lambda: rt.move_queue("jobs", HOSTS[move % 3])))  # noqa: B023
+            channel_moves.append(timed(held, lambda: rt.move("cam", HOSTS[move % 3])))  # noqa: B023
+            queue_moves.append(timed(held_queue, lambda: rt.move_queue("jobs", HOSTS[move % 3])))  # noqa: B023
         all_of.stop()
         print("| what | p50 | p99 | max |\n| --- | --- | --- | --- |")
         show("puts held, as the new host measures", held)
-        show("puts into the channel", pauses([all_of.putting], of_channel))
-        show(f"{readers} subscriptions", pauses(all_of.subscribed, of_channel))
-        show(f"{readers} waiting gets", pauses(all_of.got, of_channel))
-        show("cut events", pauses([all_of.cut], of_channel))
+        show("puts into the channel", pauses([all_of.putting], channel_moves))
+        show(f"{readers} subscriptions", pauses(all_of.subscribed, channel_moves))
+        show(f"{readers} waiting gets", pauses(all_of.got, channel_moves))
+        show("cut events", pauses([all_of.cut], channel_moves))
         show("the queue held, as the new host measures", held_queue)
-        show("puts into the queue", pauses([all_of.jobs], of_queue))
-        show("takes from the queue", pauses([all_of.taken], of_queue))
+        show("puts into the queue", pauses([all_of.jobs], queue_moves))
+        show("takes from the queue", pauses([all_of.taken], queue_moves))
         wrong = all_of.wrong()
         print(
             f"\n{moves} moves of each, {all_of.putting.seqs[-1]} frames, {len(all_of.jobs.seqs)} jobs; an item twice or"

@@ -21,7 +21,7 @@ STARVED_SHARE = 0.6
 """A service whose thread waits for this share of 2 s may lose a lease of 2 s. On two processors that only the services
 and their callers use, a thread waits for less.
 """
-REACH_SECONDS = 4.0  # the holder of a lease that ends now may have missed its renewals up to this time ago
+LATE_EFFECT_SECONDS_MAX = 4.0  # a lease may end this long after the wait that delayed its renewals
 WINDOWS_KEPT = 100_000
 
 
@@ -73,7 +73,11 @@ class ProcessorWaits:
     def starved_at(self, moment_s: float, until_s: float | None = None) -> bool:
         """Whether a thread waited for too long at that moment, or from then until `until_s`, or shortly before."""
         last_s = moment_s if until_s is None else until_s
-        near = (one for one in [*self._windows] if one.began_s <= last_s and moment_s <= one.ended_s + REACH_SECONDS)
+        near = (
+            one
+            for one in [*self._windows]
+            if one.began_s <= last_s and moment_s <= one.ended_s + LATE_EFFECT_SECONDS_MAX
+        )
         return any(one.share >= STARVED_SHARE for one in near)
 
 

@@ -196,6 +196,6 @@ def writing(rt: st.Connection, here: st.Connection, folder: Path, rounds: int) -
         if frames is None or small is None:
             row(name, "not installed", "", "", "")
             continue
-        of_frames, of_small = ratios(frames, rates[first, "frames"]), ratios(small, rates[first, "small"])
+        frame_ratios, small_ratios = ratios(frames, rates[first, "frames"]), ratios(small, rates[first, "small"])
         speed = spread([one * len(FRAMES.payload) / 1e6 for one in frames], ".0f")
-        row(name, speed, of_frames, spread([one / 1e3 for one in small], ".0f"), of_small)
+        row(name, speed, frame_ratios, spread([one / 1e3 for one in small], ".0f"), small_ratios)

@@ -23,7 +23,7 @@ def test_calls_after_an_interrupt_that_leaves_a_lock_locked_use_a_new_connection
         channel.put(b"0")
         other.put(b"0")
         assert channel.newest().payload == b"0"
-        [endpoint] = [one for one in rt._session.endpoints._endpoints.values() if hasattr(one._of_thread, "gets")]
+        [endpoint] = [one for one in rt._session.endpoints._endpoints.values() if hasattr(one._thread_local, "gets")]
         exchange = endpoint.gets()
         call = exchange._call
         lock = call._mutex if isinstance(call, SingleThreadCall) else call._call._state.condition

@@ -11,11 +11,11 @@ from collections.abc import Iterator
 import pytest
 
 import stampede_rt as st
-from stampede_rt_channel_host.metrics import catalog as of_hosts
-from stampede_rt_frontend import metrics as of_frontends
+from stampede_rt_channel_host.metrics import catalog as host_metrics
+from stampede_rt_frontend import metrics as frontend_metrics
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_runtime.metrics import service_metrics
-from stampede_rt_supernode import metrics as of_supernodes
+from stampede_rt_supernode import metrics as supernode_metrics
 from tests.support.cluster import running_cluster
 from tests.support.prometheus import Prometheus
 
@@ -55,18 +55,22 @@ def test_every_page_passes_the_check_of_prometheus(cluster: LocalCluster) -> Non
 
 
 def test_each_service_exports_all_its_metrics(cluster: LocalCluster) -> None:
-    of_each = {"host": of_hosts.METRICS, "supernode": of_supernodes.METRICS, "front-end": of_frontends.METRICS}
-    of_parts_that_are_not_here = {
+    service_families = {
+        "host": host_metrics.METRICS,
+        "supernode": supernode_metrics.METRICS,
+        "front-end": frontend_metrics.METRICS,
+    }
+    families_of_absent_parts = {
         service_metrics.CERTIFICATE_EXPIRY,
-        of_hosts.ARCHIVE_BYTES,
-        of_hosts.ARCHIVE_LIMIT,
-        *of_hosts.OF_OBJECT_STORES,
+        host_metrics.ARCHIVE_BYTES,
+        host_metrics.ARCHIVE_LIMIT,
+        *host_metrics.OF_OBJECT_STORES,
     }
     for title, address in cluster.metrics.items():
         lines = page(address).splitlines()
         exported = {line.split()[2] for line in lines if line.startswith("# TYPE ")}
-        own = of_each[title.split()[0]]
-        expected = {one.name for one in {*own, *service_metrics.METRICS} - of_parts_that_are_not_here}
+        own = service_families[title.split()[0]]
+        expected = {one.name for one in {*own, *service_metrics.METRICS} - families_of_absent_parts}
         assert expected <= exported, expected - exported
         assert {one for one in exported if not one.startswith("process_")} == expected
 

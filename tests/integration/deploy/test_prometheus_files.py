@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from stampede_rt_channel_host.metrics import catalog as of_hosts
-from stampede_rt_frontend import metrics as of_frontends
+from stampede_rt_channel_host.metrics import catalog as host_metrics
+from stampede_rt_frontend import metrics as frontend_metrics
 from stampede_rt_runtime.metrics import service_metrics
 from stampede_rt_runtime.metrics.families import MetricKind
-from stampede_rt_supernode import metrics as of_supernodes
+from stampede_rt_supernode import metrics as supernode_metrics
 
 ROOT = Path(__file__).parents[3]
 FOLDER = ROOT / "deploy" / "prometheus"
-ALL = [*of_hosts.METRICS, *of_supernodes.METRICS, *of_frontends.METRICS, *service_metrics.METRICS]
+ALL = [*host_metrics.METRICS, *supernode_metrics.METRICS, *frontend_metrics.METRICS, *service_metrics.METRICS]
 EXISTING = {
     f"{one.name}{end}"
     for one in ALL

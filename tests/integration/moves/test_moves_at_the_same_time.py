@@ -36,8 +36,8 @@ def rt(cluster: LocalCluster) -> Iterator[Any]:
 
 
 @pytest.fixture
-def slow(rt: Any) -> Iterator[Any]:
-    """A channel that moves to h2."""
+def moving_channel(rt: Any) -> Iterator[Any]:
+    """A channel whose move to h2 is under way until the test has ended."""
     channel = rt.channel("cam", max_items=100, host="h1")
     for _ in range(ITEMS):
         channel.put(bytes(ITEM_BYTES))
@@ -54,21 +54,23 @@ def slow(rt: Any) -> Iterator[Any]:
 def _note_failure(call: Callable[[], object], failures: list[Exception]) -> None:
     try:
         call()
-    except Exception as error:  # noqa: BLE001 - another thread looks at it
+    except Exception as error:  # noqa: BLE001 - the test checks the failures
         failures.append(error)
 
 
 def test_a_move_of_a_channel_that_moves_to_another_host_is_a_conflict(
-    rt: Any, slow: Any, cluster: LocalCluster, capsys: pytest.CaptureFixture[str]
+    rt: Any, moving_channel: Any, cluster: LocalCluster, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(st.MoveConflict, match="another move of channel cam is under way") as refused:
-        rt.move(slow, "h3")
+        rt.move(moving_channel, "h3")
     assert (refused.value.reason, refused.value.metadata["channel"]) == ("MOVE_CONFLICT", "cam")
     assert run(["move", "cam", "h3", "--url", cluster.address]) == 1
     assert capsys.readouterr().err == "stampede: another move of channel cam is under way; wait until it is over\n"
 
 
-async def test_a_second_move_is_a_conflict_for_callers_with_asyncio_too(slow: Any, cluster: LocalCluster) -> None:
+async def test_a_second_move_is_a_conflict_for_callers_with_asyncio_too(
+    moving_channel: Any, cluster: LocalCluster
+) -> None:
     async with aio.connect(cluster.address, transport="grpc") as rt:
         with pytest.raises(st.MoveConflict, match="another move of channel cam is under way"):
             await rt.move("cam", "h3")

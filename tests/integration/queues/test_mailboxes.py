@@ -105,7 +105,7 @@ def test_a_peer_that_left_and_registered_again_is_found(cluster: LocalCluster) -
         with st.connect(cluster.address, name="guest") as first:
             sender.send("guest", b"1")
             assert payload_of(first.mailbox.get(timeout=10)) == b"1"
-        wait_until(lambda: is_gone(sender, "guest"), "the mailbox's host hears that its peer left")
+        wait_until(lambda: is_gone(sender, "guest"), "the mailbox's host learns that its peer left")
         with st.connect(cluster.address, name="guest") as second:
             sender.send("guest", b"2")
             assert payload_of(second.mailbox.get(timeout=10)) == b"2"

@@ -24,7 +24,7 @@ from tests.property.channel_pair import items_of
 from tests.property.groups.readers import BEFORE_ALL, check_ends, has_lost_from
 from tests.property.groups.world import CHANNELS, LivingPair, World
 
-Meddle = Callable[[bytes], None]
+ChangeChannel = Callable[[bytes], None]
 
 
 @dataclass
@@ -69,7 +69,7 @@ class Match:
     oracle: OracleMatcher
     remote: RemoteTrack
     followed: dict[bytes, OwnChannelTimes]
-    begun: int
+    start_items: int
     last_seq: int
     taken: int = 0
 
@@ -117,10 +117,10 @@ class Listeners:
                 one.pending.append((cut, self.world.clock))
             one.decider.note(cut, self.world.clock)
 
-    def take_events(self, limit_bytes: int, meddle: Meddle) -> None:
+    def take_events(self, limit_bytes: int, change_channel: ChangeChannel) -> None:
         """Decide the due events: every member has reached the cut, or the longest wait is over.
 
-        Calls `meddle` between two parts.
+        Calls `change_channel` between two steps of a channel's part, with the id of the channel.
         """
         for one in self.events:
             host, clock = self.world.hosts[one.decider_host], self.world.clock
@@ -142,23 +142,23 @@ class Listeners:
             assert one.decider.wake_at() == (one.pending[0][1] + one.max_wait + one.lateness if one.pending else None)
             if boundary is not None:
                 one.decided = boundary.cut
-                self._take_parts(one, boundary.cut, limit_bytes, meddle)
+                self._take_parts(one, boundary.cut, limit_bytes, change_channel)
 
-    def _take_parts(self, events: Events, cut: int, limit_bytes: int, meddle: Meddle) -> None:
+    def _take_parts(self, events: Events, cut: int, limit_bytes: int, change_channel: ChangeChannel) -> None:
         """Take each channel's part once the cut at its owner has reached `cut`.
 
         The cut event does not raise the cut at the owner. Only `exchange` and `look` of the world do.
         """
         for channel_id, one in events.followers.items():
-            if not _has_come_to(self.world.host_of(channel_id).cuts[events.group].cut, cut):
+            if not _has_reached(self.world.host_of(channel_id).cuts[events.group].cut, cut):
                 self.world.exchange()
                 self.world.look()
                 self.world.exchange()
                 self.world.look()
-            assert _has_come_to(self.world.host_of(channel_id).cuts[events.group].cut, cut)
-            self._take_part(one, cut, limit_bytes, meddle)
+            assert _has_reached(self.world.host_of(channel_id).cuts[events.group].cut, cut)
+            self._take_part(one, cut, limit_bytes, change_channel)
 
-    def _take_part(self, one: Follower, cut: int, limit_bytes: int, meddle: Meddle) -> None:
+    def _take_part(self, one: Follower, cut: int, limit_bytes: int, change_channel: ChangeChannel) -> None:
         """Take one channel's part. Items that are put between two steps come with the next event."""
         pair = self.pair(one.channel_id)
         one.oracle.owe()
@@ -172,7 +172,7 @@ class Listeners:
             assert step.is_last != one.core.under_way
             check_ends(pair, step.slices + step.late, cut)
             if one.core.under_way:
-                meddle(one.channel_id)
+                change_channel(one.channel_id)
                 OracleReader(pair.oracle, self.world.clock)
         lost = one.oracle.end_step(cut, new, late)
         _check_loss(one, step.loss, lost, pair)
@@ -219,7 +219,7 @@ class Listeners:
             ] == [(item.seq, {name: near.seq for name, near in found.items()}) for item, found in wanted]
             assert one.core.unmatched == one.oracle.unmatched
             waiting = [item for item in a.oracle.held if (item.time, item.seq) > one.oracle.position]
-            assert one.core.dropped == len(a.oracle.log) - one.begun - one.taken - len(waiting)
+            assert one.core.dropped == len(a.oracle.log) - one.start_items - one.taken - len(waiting)
 
     def member_changed(self, group: int, channel_id: bytes, *, joins: bool) -> None:
         """Follow a change of the members.
@@ -264,7 +264,7 @@ class Listeners:
         self.events = [one for one in self.events if one.group not in groups]
 
 
-def _has_come_to(reached: int | None, cut: int) -> bool:
+def _has_reached(reached: int | None, cut: int) -> bool:
     return reached is not None and reached >= cut
 
 

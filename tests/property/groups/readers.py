@@ -32,7 +32,7 @@ class Subscriber:
     every: VisibleAllCursor
     oracle: OracleFollower
     newest: VisibleNewestCursor
-    of_newest: OracleFollower
+    newest_oracle: OracleFollower
     last: tuple[int, int]
     repeats_loss: bool
     newest_repeats_loss: bool
@@ -252,11 +252,11 @@ class Readers:
         while part.more:
             part = one.newest.take(horizon, self.world.clock)
             assert part.is_empty
-        if _may_show_items(one.of_newest, horizon.cut):
+        if _may_show_items(one.newest_oracle, horizon.cut):
             assert horizon.cut is not None
-            one.of_newest.owe()
-            visible = one.of_newest.owed & one.of_newest.visible(horizon.cut)
-            lost = one.of_newest.pass_over(horizon.cut) - visible
+            one.newest_oracle.owe()
+            visible = one.newest_oracle.owed & one.newest_oracle.visible(horizon.cut)
+            lost = one.newest_oracle.pass_over(horizon.cut) - visible
             one.meant += len(visible) + (max(1, len(lost)) if lost or one.newest_repeats_loss else 0)
             one.newest_repeats_loss = False
         assert one.newest.skipped == max(0, one.meant - one.newest.delivered)

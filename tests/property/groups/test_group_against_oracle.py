@@ -162,13 +162,13 @@ def subscribe_cuts(rng: RandomSource, scenario: Scenario) -> None:
 
 
 def take_events(rng: RandomSource, scenario: Scenario) -> None:
-    limit_bytes, meddles = rng.pick((10**6, 1, 150)), bool(rng.below(2))
+    limit_bytes, changes = rng.pick((10**6, 1, 150)), bool(rng.below(2))
 
-    def meddle(channel_id: bytes) -> None:
-        if meddles:
+    def change_channel(channel_id: bytes) -> None:
+        if changes:
             put_into(rng, scenario, channel_id)
 
-    scenario.listeners.take_events(limit_bytes, meddle)
+    scenario.listeners.take_events(limit_bytes, change_channel)
 
 
 def match(rng: RandomSource, scenario: Scenario) -> None:

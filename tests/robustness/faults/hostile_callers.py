@@ -33,16 +33,17 @@ from tests.robustness.real_cluster.placed_process import FaultHadNoEffect, Place
 from tests.support.supernode.processes import clean_environment
 
 BESIDE_CHANNELS_MIB_MAX = MEMORY_GROWTH_MIB_MAX - 64
-"""The most growth of a host without its channels and queues, whose budget is 64 MiB. A host that kept 1 MiB for each of
-60 streams exceeded it."""
-ATTACK_SECONDS, UNDER_WAY_SECONDS, END_SECONDS, BACK_SECONDS = 4.0, 120.0, 10.0, 20.0
+"""The most by which the memory of a host may grow, in addition to its channels and queues. The budget for these is 64
+MiB. A host that kept 1 MiB for each of 60 streams exceeded this limit."""
+ATTACK_SECONDS, UNDER_WAY_SECONDS, END_SECONDS, FREE_SECONDS_MAX = 4.0, 120.0, 10.0, 20.0
 GOOD_ITEMS_MAX = 50_000
 PERIOD_SECONDS, CALL_SECONDS = 0.02, 10.0
 ATTACKER = "attacker"
 LEASE_LOST = "the lease has ended"
 TOKEN_NANOS = 3600 * 10**9
 MIB = 2**20
-# For each quota: an attack that uses it up, with a low limit. Beyond `cpu-percent` calls wait, and none is refused.
+# For each quota: an attack that uses it up, and a low limit. Beyond the limit of `cpu-percent` the service delays
+# calls, and refuses none.
 QUOTAS: dict[Quota, tuple[str, int]] = {
     Quota.STREAMS: ("many-streams", 100),
     Quota.SUBSCRIPTIONS: ("many-subscriptions", 100),
@@ -89,23 +90,23 @@ class Puts:
 
 
 async def attack(scene: Scene, name: str, quota: Quota | None = None) -> None:
-    """Run the attack of that name for a while. With `quota`, set a low limit, and check that the attacker meets it.
+    """Run the attack of that name for a while. With `quota`, set a low limit, and check that the attacker reaches it.
 
-    Raises FaultHadNoEffect, StampedeError for a failed good put, TimeoutError if memory does not return, and
-    AssertionError if a host lost its lease or an acknowledged item.
+    Raises FaultHadNoEffect, StampedeError for a failed good put, TimeoutError if the process does not free its memory,
+    and AssertionError if a host lost its lease or an acknowledged item.
     """
     watched: PlacedProcess = scene.cluster.hosts[0] if CASES[name].watched == "host" else scene.cluster.supernodes[0]
     assert scene.traffic is not None
     puts = Puts(await scene.traffic.rt.channel(GOOD_CHANNEL, max_items=GOOD_ITEMS_MAX))
     leases, thing, began = _leases_lost(scene), f"hostile-{next(_numbers)}", time.monotonic()
-    calm = scene.calm_bytes.setdefault(watched.name, watched.memory_bytes())
+    calm_bytes = scene.calm_bytes.setdefault(watched.name, watched.memory_bytes())
     watched.forget_memory_peak()
     with ProcessorWaits(lambda: [one.pid for one in scene.cluster.processes() if one.running]) as waits:
         recovery, evidence = await _attacked(scene, name, quota, thing, watched, puts)
-        note = f"{puts}; {watched.name} had {calm / MIB:.0f} MiB, at most {watched.memory_peak_bytes() / MIB:.0f}"
+        note = f"{puts}; {watched.name} had {calm_bytes / MIB:.0f} MiB, at most {watched.memory_peak_bytes() / MIB:.0f}"
         await puts.check_kept()
-        await _forget(scene, thing)
-        after = await memory_back(watched, calm, name, partial(_held_bytes, scene, watched))
+        await _delete_things(scene, thing)
+        after = await wait_until_memory_is_freed(watched, calm_bytes, name, partial(_held_bytes, scene, watched))
         if _leases_lost(scene) > leases and not waits.starved_at(began, time.monotonic()):
             raise AssertionError(f"a host lost its lease during the attack {name}")
     note += f", then {after / MIB:.0f}; waited {waits.most_share:.0%} of 2 s for a processor"
@@ -120,39 +121,39 @@ async def _attacked(
     """Attack. Returns the recovery time of the directory, and the evidence."""
     began, connections, earlier = time.monotonic(), watched.descriptors(), await asyncio.to_thread(_used, scene)
     async with _limited(scene, quota), _attacking(scene, name, thing):
-        good = asyncio.create_task(puts.run())
+        good_puts = asyncio.create_task(puts.run())
         try:
             recovery = await scene.recovery(began)
-            await asyncio.wait({good}, timeout=ATTACK_SECONDS)
-            while len(puts.took_ms) < 2 and not good.done():
-                await asyncio.wait({good}, timeout=PERIOD_SECONDS)
-            most, used = watched.descriptors(), await asyncio.to_thread(_used, scene)
+            await asyncio.wait({good_puts}, timeout=ATTACK_SECONDS)
+            while len(puts.took_ms) < 2 and not good_puts.done():
+                await asyncio.wait({good_puts}, timeout=PERIOD_SECONDS)
+            present_connections, used = watched.descriptors(), await asyncio.to_thread(_used, scene)
         finally:
-            good.cancel()
+            good_puts.cancel()
             with suppress(asyncio.CancelledError):
-                await good
+                await good_puts
     if quota:
         return recovery, _refusals(earlier, used, quota)
-    if most <= connections and not used:
+    if present_connections <= connections and not used:
         raise FaultHadNoEffect(f"the attacker of {name} has no connection to {watched.name}, and uses nothing")
-    return recovery, f"{most - connections} connections of the attacker"
+    return recovery, f"{present_connections - connections} connections of the attacker"
 
 
-async def memory_back(
-    watched: PlacedProcess, calm: int, name: str, held_bytes: Callable[[], Awaitable[int | None]]
+async def wait_until_memory_is_freed(
+    watched: PlacedProcess, calm_bytes: int, name: str, held_bytes: Callable[[], Awaitable[int | None]]
 ) -> int:
-    """Wait until the memory is near `calm`, the memory before the first attack. Raises TimeoutError.
+    """Wait until the memory is near `calm_bytes`, the memory before the first attack. Raises TimeoutError.
 
     `held_bytes`: the bytes of channels and queues, which a host may keep; None: the process is no host.
     """
-    until_s = time.monotonic() + BACK_SECONDS
+    until_s = time.monotonic() + FREE_SECONDS_MAX
     while True:
-        held, now = await held_bytes(), watched.memory_bytes()
-        most = calm + (MEMORY_GROWTH_MIB_MAX * MIB if held is None else held + BESIDE_CHANNELS_MIB_MAX * MIB)
-        if now <= most:
-            return now
+        held, memory_bytes = await held_bytes(), watched.memory_bytes()
+        bytes_max = calm_bytes + (MEMORY_GROWTH_MIB_MAX * MIB if held is None else held + BESIDE_CHANNELS_MIB_MAX * MIB)
+        if memory_bytes <= bytes_max:
+            return memory_bytes
         if time.monotonic() > until_s:
-            finding = f"{watched.name} has {now / MIB:.0f} MiB after {name}, and had {calm / MIB:.0f}"
+            finding = f"{watched.name} has {memory_bytes / MIB:.0f} MiB after {name}, and had {calm_bytes / MIB:.0f}"
             raise TimeoutError(f"{finding}; its channels and queues hold {(held or 0) / MIB:.0f}")
         await asyncio.sleep(PERIOD_SECONDS)
 
@@ -227,13 +228,13 @@ async def _limited(scene: Scene, quota: Quota | None) -> AsyncIterator[None]:
         yield
         return
     setting = quota_pb2.QuotaSetting(who=ATTACKER, kind=KINDS[quota], limit=QUOTAS[quota][1])
-    one = quota_service_pb2.SetQuotasRequest(request_id=request_id(), settings=[setting])
-    await asyncio.to_thread(_ask, scene, "SetQuotas", one)
+    set_limit = quota_service_pb2.SetQuotasRequest(request_id=request_id(), settings=[setting])
+    await asyncio.to_thread(_ask, scene, "SetQuotas", set_limit)
     try:
         yield
     finally:
-        other = quota_service_pb2.RemoveQuotasRequest(request_id=request_id(), who=ATTACKER)
-        await asyncio.to_thread(_ask, scene, "RemoveQuotas", other)
+        remove_limit = quota_service_pb2.RemoveQuotasRequest(request_id=request_id(), who=ATTACKER)
+        await asyncio.to_thread(_ask, scene, "RemoveQuotas", remove_limit)
 
 
 def _ask(scene: Scene, rpc: str, request: Any) -> None:
@@ -250,7 +251,7 @@ def _used(scene: Scene) -> list[PartUse]:
 
 
 def _refusals(earlier: list[PartUse], later: list[PartUse], quota: Quota) -> str:
-    """The evidence that the attacker met its limit. Raises FaultHadNoEffect if there is none."""
+    """The evidence that the attacker reached its limit. Raises FaultHadNoEffect without evidence."""
     before = {part: use.refused for part, use in _uses(earlier, quota)}
     for part, use in _uses(later, quota):
         refused = use.refused - before.get(part, 0)
@@ -259,11 +260,11 @@ def _refusals(earlier: list[PartUse], later: list[PartUse], quota: Quota) -> str
     raise FaultHadNoEffect(f"the quota {quota} has refused no call")
 
 
-def _uses(later: list[PartUse], quota: Quota) -> Iterator[tuple[str, quota_pb2.QuotaUse]]:
-    yield from ((part.part, use) for part in later for use in part.uses if quota_from(use.kind) is quota)
+def _uses(parts: list[PartUse], quota: Quota) -> Iterator[tuple[str, quota_pb2.QuotaUse]]:
+    yield from ((part.part, use) for part in parts for use in part.uses if quota_from(use.kind) is quota)
 
 
-async def _forget(scene: Scene, thing: str) -> None:
+async def _delete_things(scene: Scene, thing: str) -> None:
     """Delete the large things that the attacker has made."""
     assert scene.traffic is not None
     rt = scene.traffic.rt

@@ -117,7 +117,7 @@ async def test_a_lost_item_of_a_good_client_beside_an_attack_is_noticed() -> Non
 async def test_a_host_may_keep_the_bytes_of_its_channels_but_not_a_megabyte_for_each_of_60_streams(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(hostile_callers, "BACK_SECONDS", 0.0)
+    monkeypatch.setattr(hostile_callers, "FREE_SECONDS_MAX", 0.0)
     calm, cached, held, leaked = 68 * MIB, 55 * MIB, 40 * MIB, 60 * MIB
 
     async def after(memory: int, rss_bytes: int | None) -> int:
@@ -125,7 +125,7 @@ async def test_a_host_may_keep_the_bytes_of_its_channels_but_not_a_megabyte_for_
             return rss_bytes
 
         watched: Any = SimpleNamespace(name="h1", memory_bytes=lambda: memory)
-        return await hostile_callers.memory_back(watched, calm, "silent-gets", held_bytes)
+        return await hostile_callers.wait_until_memory_is_freed(watched, calm, "silent-gets", held_bytes)
 
     assert await after(calm + cached + held, held) == calm + cached + held
     with pytest.raises(TimeoutError, match="its channels and queues hold 40"):

@@ -59,8 +59,8 @@ async def _full(scene: Scene, pinned: PinnedChannel) -> aio.Channel:
 
 async def _waiting(channel: aio.Channel, full: aio.Channel) -> int:
     """The number of waiting calls and subscriptions at the host."""
-    stats, of_full = await channel.stats(), await full.stats()
-    return stats.subscriptions + stats.waiting_gets + of_full.waiting_puts
+    stats, full_stats = await channel.stats(), await full.stats()
+    return stats.subscriptions + stats.waiting_gets + full_stats.waiting_puts
 
 
 async def _until(count: Callable[[], Awaitable[int]], wanted: int) -> None:

@@ -58,7 +58,7 @@ QUEUE_DESTINATION_STEPS = {
 QUEUE_SOURCE_STEPS = {
     "source: holds the queue": Step(HostedQueue, "hold", is_after=True),
     "source: all replicas have the queue": Step(HostedQueue, "wait_until_replicated", is_after=True),
-    "source: hears who owns the queue": Step(QueueHandovers, "_end"),
+    "source: learns the new owner of the queue": Step(QueueHandovers, "_end"),
 }
 
 
@@ -81,20 +81,20 @@ def wrapped(step: Step, reached: Callable[[], None]) -> Callable[..., Any]:
         def plain(*arguments: Any, **options: Any) -> Any:
             if not step.is_after:
                 reached()
-            found = inner(*arguments, **options)
+            result = inner(*arguments, **options)
             if step.is_after:
                 reached()
-            return found
+            return result
 
         return plain
 
     async def awaited(*arguments: Any, **options: Any) -> Any:
         if not step.is_after:
             reached()
-        found = await inner(*arguments, **options)
+        result = await inner(*arguments, **options)
         if step.is_after:
             reached()
-        return found
+        return result
 
     return awaited
 

@@ -143,7 +143,7 @@ class Trial:
             leaders[0],
             random_source.choice([name for name in world.members if name != leaders[0]]),
         ]
-        of_leader, of_follower = (
+        leader_links, follower_links = (
             [ends for ends in world.wires if name in ends and set(ends) != set(pair)] for name in pair
         )
         silent_at = world.now + random_source.uniform(0.5, 1.8)
@@ -156,16 +156,16 @@ class Trial:
         def come_back() -> None:
             if self.over:
                 return
-            world.unblock(of_leader)
+            world.unblock(leader_links)
             world.wires[leader, follower].stalled_until = late_until + random_source.uniform(0.0, 0.5)
             self._let_lead(leader, until=late_until)
 
         def end() -> None:
-            world.unblock([*of_leader, *of_follower])
+            world.unblock([*leader_links, *follower_links])
             self._outvoted = False
 
         self._outvoted = True
-        world.block([*of_leader, *of_follower])
+        world.block([*leader_links, *follower_links])
         world.at(silent_at, fall_silent)
         self._when(lambda: self._leaders() not in ([], [leader]), come_back, until=late_until)
         world.at(late_until + 1.0, end)

@@ -67,8 +67,8 @@ def complaints(prometheus: Prometheus, minutes: float, kills: list[tuple[str, fl
     """The errors after the soak."""
     window = f"[{_window(minutes)}]"
     found = [f"{name} was back after {seconds:.1f} s" for name, seconds in kills if seconds > BACK_SECONDS_MAX]
-    of_running = f"(scrape_duration_seconds and on(instance) up == 1){window[:-1]}:1s]"
-    slow = prometheus.ask(f"quantile_over_time(0.99, {of_running})")
+    running_seconds = f"(scrape_duration_seconds and on(instance) up == 1){window[:-1]}:1s]"
+    slow = prometheus.ask(f"quantile_over_time(0.99, {running_seconds})")
     found += [f"scrapes of {labels['part']} take {value:.2f} s" for labels, value in slow if value > SCRAPE_SECONDS_MAX]
     grown = prometheus.ask(f"max_over_time(process_resident_memory_bytes{window})")
     found += [

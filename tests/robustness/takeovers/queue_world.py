@@ -76,12 +76,12 @@ class QueueHost(LeasedHost):
         return self.world
 
     def background(self) -> tuple[Coroutine[Any, Any, None], ...]:
-        of_queues = sweep_queues_forever(self.queues), self.queue_replicas.drop_unneeded_forever(), self.watch()
-        return (*super().background(), *of_queues)
+        queue_tasks = sweep_queues_forever(self.queues), self.queue_replicas.drop_unneeded_forever(), self.watch()
+        return (*super().background(), *queue_tasks)
 
     def tasks(self) -> list[asyncio.Task[Any]]:
-        of_moves = [*self.arrivals._moves.values()]
-        return [*super().tasks(), *of_moves, *self.queue_replicas._tasks, *self.dead_letters._tasks.values()]
+        move_tasks = [*self.arrivals._moves.values()]
+        return [*super().tasks(), *move_tasks, *self.queue_replicas._tasks, *self.dead_letters._tasks.values()]
 
     def dial(self, target: str) -> Any:
         host = self.world.hosts[int(target.removeprefix("host-"))]
@@ -144,9 +144,9 @@ class DirectoryOfQueues:
         return self._host.cluster
 
     async def _apply(self, operation: Operation) -> Any:
-        done = (await self._reach()).apply(operation)
+        result = (await self._reach()).apply(operation)
         await self._reach()
-        return done
+        return result
 
     async def resolve(self, queue_id: bytes) -> ResolvedQueue:
         cluster = await self._reach()
@@ -198,12 +198,12 @@ class DirectoryOfQueues:
         cluster, identity = await self._reach(), self._host.identity
         if (before := cluster.queue_commits.get(request_id)) is not None:
             return before
-        done = cluster.apply(CommitQueueMove(
+        result = cluster.apply(CommitQueueMove(
             queue_id=queue_id, epoch=epoch, to_host_id=identity.host_id,
             to_boot_incarnation=identity.boot_incarnation, permit=permit,
         ))  # fmt: skip
-        assert isinstance(done, QueueMoveCommitted)
-        record = cluster.queue_commits[request_id] = recorded_queue(queue_record(done.queue))
+        assert isinstance(result, QueueMoveCommitted)
+        record = cluster.queue_commits[request_id] = recorded_queue(queue_record(result.queue))
         await self._reach()
         return record
 
@@ -222,11 +222,11 @@ class QueueCluster(Cluster):
 
     def _open(self, policy: Policy) -> None:
         self.queue_commits: dict[bytes, RecordedQueue] = {}
-        named: dict[str, Any] = {"ack": "replica", "replicas": policy.replicas, "min_replicas": policy.min_replicas}
-        self.dead_id = self.apply(open_queue("dead", incarnation=500, **named)).queue.queue_id
-        named |= {"lease_nanos": self.lease_nanos, "max_deliveries": self.max_deliveries}
-        named |= {"dead_letter_queue_id": self.dead_id}
-        self.jobs_id = self.apply(open_queue("jobs", incarnation=600, **named)).queue.queue_id
+        settings: dict[str, Any] = {"ack": "replica", "replicas": policy.replicas, "min_replicas": policy.min_replicas}
+        self.dead_id = self.apply(open_queue("dead", incarnation=500, **settings)).queue.queue_id
+        settings |= {"lease_nanos": self.lease_nanos, "max_deliveries": self.max_deliveries}
+        settings |= {"dead_letter_queue_id": self.dead_id}
+        self.jobs_id = self.apply(open_queue("jobs", incarnation=600, **settings)).queue.queue_id
 
     def copied(self) -> list[Copied]:
         return [*self.log.directory.tables.queues.by_id.values()]
@@ -244,7 +244,7 @@ class QueueCluster(Cluster):
         return self.log.directory.tables.replicas.of(queue_id)
 
     def target(self, host_id: bytes) -> str:
-        """The gatekeeper of a host; empty if the host is not alive."""
+        """The address of a host's gatekeeper; empty if the host is not alive."""
         host = self.log.directory.tables.hosts[host_id]
         return host.name if host.alive else ""
 
@@ -263,7 +263,7 @@ class QueueCluster(Cluster):
         host.stop_timers()
 
     async def move(self, queue_id: bytes, number: int) -> None:
-        """Move a queue to a host, as a client with the right does. Raises StampedeError."""
+        """Move a queue to a host, as a client that may move it does. Raises StampedeError."""
         record, host = self.queue(queue_id), self.hosts[number]
         if not host.alive or record.host_id == id_of(number):
             return
@@ -272,7 +272,7 @@ class QueueCluster(Cluster):
 
 
 def serving_queue(cluster: QueueCluster, queue_id: bytes) -> list[int]:
-    """The hosts that serve the queue, at any epoch."""
+    """The numbers of the hosts that serve the queue, at any epoch."""
     found = []
     for number, host in cluster.hosts.items():
         hosted = host.queues.known(queue_id)

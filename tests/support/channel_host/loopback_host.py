@@ -132,10 +132,10 @@ async def serve(paths: Sequence[str]) -> None:
         TlsFiles(ca=ca, certificate=certificate, key=key)
         for ca, certificate, key in zip(paths[::3], paths[1::3], paths[2::3], strict=True)
     ]
-    own, of_directory = (load_tls(files[0], Role.HOST), load_tls(files[1], Role.SUPERNODE)) if files else (None, None)
+    own, directory_tls = (load_tls(files[0], Role.HOST), load_tls(files[1], Role.SUPERNODE)) if files else (None, None)
     reader = own.reader if own else None
     directory = Directory(lease_ttl_nanos=LEASE_TTL_NANOS)
-    async with serving(directory.register, tls=of_directory) as supernode:
+    async with serving(directory.register, tls=directory_tls) as supernode:
         directory.target = supernode.address
         clock = ManualClock()
         server = ServiceServer(secret=None, tls=own)

@@ -1,4 +1,4 @@
-"""Runs commands of the command line in this process, with files as standard streams, as `<in >out 2>errors` does.
+"""Runs commands of the command line in this process, with files as standard streams: `<in >out 2>errors`.
 
 The start of a process takes a third of a second of CPU time, so only the tests about the process itself start one.
 """
@@ -18,7 +18,7 @@ from stampede_rt.cli.main import main
 
 
 def run_redirected(words: Sequence[str], *, stdin: bytes = b"") -> subprocess.CompletedProcess[bytes]:
-    """Run one command in this process, and return its status and all that it has written."""
+    """Run one command in this process, and return its status and its output."""
     with ExitStack() as stack, pytest.MonkeyPatch.context() as patch:
         files = {name: stack.enter_context(tempfile.TemporaryFile()) for name in ("stdin", "stdout", "stderr")}
         files["stdin"].write(stdin)

@@ -89,11 +89,11 @@ def test_members_are_learned_from_the_directory_and_probed_from_then_on() -> Non
 
 def test_each_supernode_tells_its_own_zone_also_in_an_older_list() -> None:
     roster = SupernodeRoster(("s1:1",))
-    of_s1 = (Supernode(supernode_id="s1", target="s1:1", zone="a"), Supernode(supernode_id="s2", target="s2:1"))
-    of_s2 = (Supernode(supernode_id="s1", target="s1:1"), Supernode(supernode_id="s2", target="s2:1", zone="b"))
-    roster.listed(MemberList(term=1, applied_index=8, members=of_s1))
-    roster.listed(MemberList(term=1, applied_index=7, members=of_s2))
-    roster.listed(MemberList(term=1, applied_index=9, members=of_s1))
+    members_by_s1 = (Supernode(supernode_id="s1", target="s1:1", zone="a"), Supernode(supernode_id="s2", target="s2:1"))
+    members_by_s2 = (Supernode(supernode_id="s1", target="s1:1"), Supernode(supernode_id="s2", target="s2:1", zone="b"))
+    roster.listed(MemberList(term=1, applied_index=8, members=members_by_s1))
+    roster.listed(MemberList(term=1, applied_index=7, members=members_by_s2))
+    roster.listed(MemberList(term=1, applied_index=9, members=members_by_s1))
     assert {name: node.zone for name, node in known(roster).items()} == {"s1": "a", "s2": "b"}
 
 

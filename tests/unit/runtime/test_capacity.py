@@ -140,4 +140,4 @@ def test_single_calls_of_one_caller_leave_slots_for_others() -> None:
     for give_back in given:
         give_back()
     assert (slots.streams, slots.singles, slots.reserved) == (1, 1, 1)
-    assert dict(slots._of_caller) == {"good": 1}
+    assert dict(slots._slots_of_callers) == {"good": 1}

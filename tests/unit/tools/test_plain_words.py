@@ -96,6 +96,9 @@ def test_other_comments_pass(source: str) -> None:
         "def f(heard): pass",
         "lambda told: told",
         "def _go_on(): ...",
+        "of_queues = 1",
+        "self._of_lease, x = y",
+        "for of_kind in x: pass",
     ],
 )
 def test_a_name_without_a_meaning_is_found(source: str) -> None:
@@ -103,7 +106,9 @@ def test_a_name_without_a_meaning_is_found(source: str) -> None:
     assert line.startswith("a.py:1: name the thing that ")
 
 
-@pytest.mark.parametrize("source", ["print(told)", "heard_at = 1", "def tell(): pass", "x.news()"])
+@pytest.mark.parametrize(
+    "source", ["print(told)", "heard_at = 1", "def tell(): pass", "x.news()", "f(of_queues=1)", "def of_most(): ..."]
+)
 def test_other_names_of_variables_and_functions_pass(source: str) -> None:
     assert list(complaints("a.py", source)) == []
 

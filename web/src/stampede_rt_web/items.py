@@ -13,7 +13,7 @@ from stampede_rt_web.preview import picture_of, preview_of
 
 PICTURES_BYTES_MAX = 64 * 1024 * 1024
 PICTURE_BYTES_MAX = 8 * 1024 * 1024  # a larger picture is not shown
-NEWEST_NANOS = 150_000_000  # pages that ask for the newest item more often get the same answer
+NEWEST_AGE_NANOS_MAX = 150_000_000  # pages that ask for the newest item more often get the same answer
 
 Key = tuple[bytes, int, int]  # the channel's id, its incarnation, and the item's seq
 Direction = Literal["next", "previous"]
@@ -60,16 +60,16 @@ class ItemPreviews:
         If there is no such item, the answer says why.
         """
         key = (reader.name, group)
-        if instant is None and key in self._newest and time.time_ns() - self._newest[key][0] < NEWEST_NANOS:
+        if instant is None and key in self._newest and time.time_ns() - self._newest[key][0] < NEWEST_AGE_NANOS_MAX:
             return self._newest[key][1]
-        asked_nanos = time.time_ns()
+        read_at_nanos = time.time_ns()
         try:
             found = await reader.at(NEWEST if instant is None else instant)
         except StampedeError as error:
             return {"channel": reader.name, "failure": error.message}
         answer = await self._answer(reader, found)
         if instant is None:
-            self._newest[key] = (asked_nanos, answer)
+            self._newest[key] = (read_at_nanos, answer)
             while len(self._newest) > 256:
                 self._newest.popitem(last=False)
         return answer
@@ -80,7 +80,7 @@ class ItemPreviews:
             return {
                 "channel": reader.name,
                 "reason": str(reason) if reason else None,
-                "detail": reason.detail if reason else "No item's span holds this instant.",
+                "detail": reason.detail if reason else "No item's span contains this instant.",
             }
         item = found[-1]
         preview = await asyncio.to_thread(self._preview, reader.info.channel_id, item)
@@ -99,7 +99,7 @@ class ItemPreviews:
         return shown
 
 
-async def step(reader: aio.Channel | aio.GroupChannel, instant: int, direction: Direction) -> str | None:
+async def neighbour_time(reader: aio.Channel | aio.GroupChannel, instant: int, direction: Direction) -> str | None:
     """Return the time of the first item after `instant`, or of the last one before it, as text; None: there is none."""
     found = await reader.get(
         OLDEST,

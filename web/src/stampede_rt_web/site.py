@@ -25,7 +25,7 @@ from stampede_rt.values.policy import parse_name
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
 from stampede_rt_web.drawing import WIDTH_MAX, Window, draw
 from stampede_rt_web.following import TRACKS_MAX, FollowedChannels
-from stampede_rt_web.items import Direction, ItemPreviews, step
+from stampede_rt_web.items import Direction, ItemPreviews, neighbour_time
 from stampede_rt_web.overview import Overview
 
 STATIC = Path(__file__).parent / "static"
@@ -142,7 +142,7 @@ class Site:
         rt = await self._connection()
         reader = await self._reader(rt, _names(request)[0], request.query_params.get("group", ""))
         direction: Direction = "previous" if request.query_params.get("direction") == "previous" else "next"
-        return _json({"time": await step(reader, _instant(request, "at"), direction)})
+        return _json({"time": await neighbour_time(reader, _instant(request, "at"), direction)})
 
     async def _answer_doctor(self, request: Request) -> Response:
         async with self._examining:

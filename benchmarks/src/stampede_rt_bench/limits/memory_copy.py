@@ -20,8 +20,10 @@ def copy_times_us(rounds: int) -> dict[int, Spread]:
     for size in (SMALL, MEDIUM, LARGE):
         sources = [bytearray(size) for _ in range(max(1, min(64, (16 << 20) // size)))]
         count = max(1, min(TIMES_MAX, BYTES_A_RUN // size // 4) // len(sources))
-        of_all = microseconds(partial(_copy_each, sources), times=count, runs=rounds)
-        times[size] = Spread(*(value / len(sources) for value in (of_all.median, of_all.least, of_all.most)))
+        all_copies = microseconds(partial(_copy_each, sources), times=count, runs=rounds)
+        times[size] = Spread(
+            *(value / len(sources) for value in (all_copies.median, all_copies.least, all_copies.most))
+        )
     return times
 
 

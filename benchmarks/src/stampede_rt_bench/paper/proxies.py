@@ -81,9 +81,9 @@ class Case(NamedTuple):
 
     def row(self) -> list[str]:
         """Return the row of the table."""
-        of_proxies = ", ".join(spread(one, 0) for one in self.cores[1:])
+        proxy_cores = ", ".join(spread(one, 0) for one in self.cores[1:])
         lost, owner = spread(self.lost), spread(self.cores[0], 0)
-        return [number(self.readers), number(self.proxies), lost, owner, of_proxies]
+        return [number(self.readers), number(self.proxies), lost, owner, proxy_cores]
 
 
 def measure(effort: Effort, chart: Path) -> Table:

@@ -86,8 +86,8 @@ def goals() -> list[Goal]:
     )
     return [
         Goal(workload=workload, ours=ours, figure=figure, bound=bound, peers=peers)
-        for figure, of_kind in kinds
-        for workload, ours, bound, peers in of_kind
+        for figure, kind_goals in kinds
+        for workload, ours, bound, peers in kind_goals
     ]
 
 

@@ -80,12 +80,12 @@ class Report:
         workloads = [workload for workload in results.runs if workload.kind == "frames"]
         tables = []
         for item_bytes in dict.fromkeys(workload.item_bytes for workload in workloads):
-            of_size = [workload for workload in workloads if workload.item_bytes == item_bytes]
+            same_size_workloads = [workload for workload in workloads if workload.item_bytes == item_bytes]
             title = f"Most readers of {size(item_bytes)} at {FRAMES_PER_SECOND} fps with under 1 % lost"
             table = Table([title, "readers"])
-            for system in dict.fromkeys(name for workload in of_size for name in results.runs[workload]):
-                most = results.most_readers(of_size, system, LOST_SHARE_MAX)
-                table.rows.append([system, f"{most} of {of_size[-1].readers} tried" if most else "none"])
+            for system in dict.fromkeys(name for workload in same_size_workloads for name in results.runs[workload]):
+                most = results.most_readers(same_size_workloads, system, LOST_SHARE_MAX)
+                table.rows.append([system, f"{most} of {same_size_workloads[-1].readers} tried" if most else "none"])
             tables.append((title, table))
         return tables
 

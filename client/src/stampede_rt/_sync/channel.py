@@ -84,8 +84,8 @@ class Channel(Reader):
             wait, put, accepted = Wait.parse(timeout), self._numbers.put_of(item), None
             if self._session.here is not None and not fills and ack_of_put != "replica":
                 began_s = monotonic_s()
-                of_disk = wait if ack_of_put == "disk" else NO_WAIT
-                accepted = put_here(self._session, self._state, put, ack, of_disk)
+                disk_wait = wait if ack_of_put == "disk" else NO_WAIT
+                accepted = put_here(self._session, self._state, put, ack, disk_wait)
                 wait = wait.after(monotonic_s() - began_s)
             if accepted is None:  # if the host of this process has put the item after all, it recognises the number
                 accepted = self._puts.put(put, wait, renew_s, may_fill=may_fill)

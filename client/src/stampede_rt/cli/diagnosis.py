@@ -22,7 +22,7 @@ def diagnose(
     A certificate that ends within `certificate_s_min` seconds gives advice.
     """
     parts = [_of_part(one, certificate_s_min) for one in seen]
-    of_all = [
+    common_findings = [
         *_frontends(seen),
         *_quorum(seen),
         *_hosts(seen),
@@ -31,7 +31,7 @@ def diagnose(
         *_quotas(seen),
         *clock_findings(seen),
     ]
-    return [*parts, *of_all, *_versions(seen, own_version), *_levels(seen)]
+    return [*parts, *common_findings, *_versions(seen, own_version), *_levels(seen)]
 
 
 def _of_part(one: Observation, certificate_s_min: float) -> CheckResult:

@@ -66,9 +66,9 @@ class Examination:
         """Return the inventories of channels and queues. An inventory is missing if no supernode gives it."""
         channels = directory_pb.ListChannelsRequest(stale_ok=True)
         queues = queue_directory_pb.ListQueuesRequest(stale_ok=True, include_mailboxes=True)
-        of_channels = self._pages(supernodes, "ListChannels", channels)
-        of_queues = self._pages(supernodes, "ListQueues", queues)
-        found = [_holdings("channel", "channels", of_channels), _holdings("queue", "queues", of_queues)]
+        channel_pages = self._pages(supernodes, "ListChannels", channels)
+        queue_pages = self._pages(supernodes, "ListQueues", queues)
+        found = [_holdings("channel", "channels", channel_pages), _holdings("queue", "queues", queue_pages)]
         is_partial = any(one.seen.limits_caller for one in supernodes)
         return [replace(one, is_partial=is_partial) for one in found if one is not None]
 
@@ -281,8 +281,8 @@ def _holdings(kind: str, field: str, pages: Iterable[Any]) -> Inventory | None:
             if host is not None and not host.alive:
                 is_recorded = kind == "channel" and policy_from_spec(one.spec).is_recorded
                 where = f" (archive: {host.archive_place})" if is_recorded and host.archive_place else ""
-                of_kind = recorded if is_recorded else lost
-                of_kind.append((one.name or "a mailbox", f"host {host.name}{where}"))
+                holdings = recorded if is_recorded else lost
+                holdings.append((one.name or "a mailbox", f"host {host.name}{where}"))
     return Inventory(kind=kind, count=count, lost=lost, recorded=recorded)
 
 

@@ -18,12 +18,12 @@ class CallMetadata:
 
     def __init__(self, present_secret: Callable[[], str | None]) -> None:
         self._present_secret = present_secret
-        self._of_cluster: tuple[tuple[str, str], ...] = ()
+        self._cluster_metadata: tuple[tuple[str, str], ...] = ()
         self._cluster_id = ""
 
     def __call__(self) -> tuple[tuple[str, str], ...]:
         """Return the metadata of a call that begins now."""
-        return call_metadata(self._present_secret()) + self._of_cluster + trace_metadata()
+        return call_metadata(self._present_secret()) + self._cluster_metadata + trace_metadata()
 
     @property
     def cluster_id(self) -> str:
@@ -33,4 +33,4 @@ class CallMetadata:
     @cluster_id.setter
     def cluster_id(self, cluster_id: str) -> None:
         self._cluster_id = cluster_id
-        self._of_cluster = cluster_metadata(cluster_id)
+        self._cluster_metadata = cluster_metadata(cluster_id)

@@ -69,7 +69,7 @@ class ServerEndpoint(Stubs):
         self._put = methods.stream_stream(PUT_METHOD, response_deserializer=channel_pb.PutResponse.FromString)
         self._enqueue = methods.stream_stream(ENQUEUE_METHOD, response_deserializer=queue_pb.EnqueueResponse.FromString)
         self._watchdog = Watchdog()
-        self._of_thread = threading.local()
+        self._thread_local = threading.local()
         self._call_streams: WeakSet[CallStream] = WeakSet()
         self._socket_calls: WeakSet[SocketCall] = WeakSet()
         self._mutex = threading.Lock()  # guards the streams, and the calls over sockets
@@ -166,11 +166,11 @@ class ServerEndpoint(Stubs):
 
     def gets(self) -> GetExchange:
         """Return this thread's open stream for gets."""
-        exchange: GetExchange | None = getattr(self._of_thread, "gets", None)
+        exchange: GetExchange | None = getattr(self._thread_local, "gets", None)
         if exchange is not None and exchange.is_outdated:
             exchange.cancel()
         if exchange is None or exchange.broken:
-            exchange = self._of_thread.gets = GetExchange(self, self.channels.Get, self._watchdog)
+            exchange = self._thread_local.gets = GetExchange(self, self.channels.Get, self._watchdog)
         return exchange
 
     def puts(self) -> PutExchange:

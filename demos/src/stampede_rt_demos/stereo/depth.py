@@ -36,10 +36,10 @@ def play(stage: Stage) -> dict[str, object]:
             stage.send_progress(items=len(measured))
 
         threads = stack.enter_context(ThreadPoolExecutor(1))
-        of_right = threads.submit(take_pairs, by_right, Side.RIGHT, ignore)
-        of_left = take_pairs(by_left, Side.LEFT, handle)
+        right_outcome = threads.submit(take_pairs, by_right, Side.RIGHT, ignore)
+        left_outcome = take_pairs(by_left, Side.LEFT, handle)
         depth.put({"disparity": END_DISPARITY}, time=start + stage.settings.length_nanos + END_NANOS)
-        records = {"left": of_left.as_record(), "right": of_right.result().as_record()}
+        records = {"left": left_outcome.as_record(), "right": right_outcome.result().as_record()}
     stage.send_event(
         "picture", frames=[base64.b64encode(item.payload or b"").decode() for pair in last for item in pair]
     )

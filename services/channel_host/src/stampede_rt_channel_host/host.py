@@ -122,8 +122,8 @@ class ChannelHost:
         self._dial, self._dial_streams = self._naming(dial), self._naming(dial_streams or dial)
         known: dict[str, Any] = {"peer_name": identity.name, "zone": identity.zone, "explain": explain}
         self._supernodes = Supernodes(frontends, self._dial, **known)
-        self._of_lease = Supernodes(frontends, self._naming(dial_for_lease), **known)
-        self._lease = LeaseThread(lambda serving: self._make_registration(self._of_lease, clock, serving))
+        self._lease_calls = Supernodes(frontends, self._naming(dial_for_lease), **known)
+        self._lease = LeaseThread(lambda serving: self._make_registration(self._lease_calls, clock, serving))
         access = _set_up_for_host(access or AccessControl(), memory_bytes_max)
         memory = MemoryBudget(memory_bytes_max, lambda: self.store.sweep.reclaim(), accounts=access.accounts)
         queries = DirectoryQueries(self._supernodes)
@@ -132,7 +132,7 @@ class ChannelHost:
         set_up_archive(self.store.recordings, archive, objects, access.accounts, self.store.now)
         self.queues, self._dead_letters = self._make_queues(memory, on_defect)
         self.groups = GroupStore(
-            identity, self.store, GroupDirectory(self._supernodes), self._dial, lambda: self._of_lease.cluster_id
+            identity, self.store, GroupDirectory(self._supernodes), self._dial, lambda: self._lease_calls.cluster_id
         )
         self._access = AccessWatch(self._supernodes, access)
         self.changes, self._streams = ChannelChanges(self.store, queries), OpenStreams()
@@ -143,7 +143,7 @@ class ChannelHost:
 
     def _naming(self, dial: Dial) -> Dial:
         """A `Dial` whose calls name the cluster of this host."""
-        return naming_cluster(dial, lambda: self._home.cluster_id or self._of_lease.cluster_id)
+        return naming_cluster(dial, lambda: self._home.cluster_id or self._lease_calls.cluster_id)
 
     def _make_registration(self, supernodes: Supernodes, clock: HostClock, serving: ServingLoop) -> Registration:
         """Make the registration. It passes changes of the lease to the serving loop, which handles them in order."""
@@ -172,8 +172,8 @@ class ChannelHost:
         directory = ReplicaDirectory(self._supernodes)
         self.copies = CopyKeeper(self.identity, self.store, directory, self._dial_streams, bytes_per_second)
         self.replicas = ReplicaKeeper(self.identity, self.store, directory, self._dial)
-        of_queues = ReplicaDirectory(self._supernodes, of_queues=True)
-        self.replicas_of_queues = QueueReplicaKeeper(self.identity, self.queues, of_queues, self._dial_streams)
+        queue_directory = ReplicaDirectory(self._supernodes, of_queues=True)
+        self.replicas_of_queues = QueueReplicaKeeper(self.identity, self.queues, queue_directory, self._dial_streams)
         self._move_directory = MoveDirectory(self._supernodes, self.identity)
         self.moves_away = OutgoingMoves(self.identity, self.store, self._move_directory, self.copies)
         self.moves_here = IncomingMoves(
@@ -192,7 +192,7 @@ class ChannelHost:
             QueueHandovers(self.identity, self.queues, self._move_directory, self.moves_away, self._callers),
             self._move_directory,
             self.draining,
-            QueueFeeds(self.identity, self.queues, of_queues, self._callers),
+            QueueFeeds(self.identity, self.queues, queue_directory, self._callers),
             self.identity,
             self.moves_away.allowed.allow,
             self._streams,
@@ -247,21 +247,21 @@ class ChannelHost:
         self.store.rings.fence_boottime = self._lease.fence_boottime
         self._entering = asyncio.ensure_future(self._lease.enter(target, timeout_s))
         await self._entering
-        self._supernodes.learn(self._of_lease.known())  # the front-ends may be gone before the next request needs them
+        self._supernodes.learn(self._lease_calls.known())  # the front-ends may be gone before the next request
         self._keeping = self._start(self._lease.keep(), "lease")
         self.store.recordings.start()
         self._start(self.store.sweep.run_forever(), "sweep")
         self._start(self.groups.keep(), "groups")
         self._start(self.copies.report_forever(), "copies")
-        of_groups = directory_service_pb2.WatchRequest(include_groups=True)
-        self._start(watch_forever(self._supernodes, of_groups, self.groups), "group watch")
+        groups_watch = directory_service_pb2.WatchRequest(include_groups=True)
+        self._start(watch_forever(self._supernodes, groups_watch, self.groups), "group watch")
         self._start(self._access.keep(), "access")
-        of_access = directory_service_pb2.WatchRequest(name_glob="-", include_access=True)  # no channel has that name
-        self._start(watch_forever(self._supernodes, of_access, self._access), "access watch")
+        access_watch = directory_service_pb2.WatchRequest(name_glob="-", include_access=True)  # matches no channel
+        self._start(watch_forever(self._supernodes, access_watch, self._access), "access watch")
         self._start(sweep_queues_forever(self.queues), "queue sweep")
         self._start(self.replicas_of_queues.drop_unneeded_forever(), "replicas of queues")
-        of_queues = directory_service_pb2.WatchRequest(include_queues=True)
-        self._start(watch_forever(self._supernodes, of_queues, self.queues), "queue watch")
+        queues_watch = directory_service_pb2.WatchRequest(include_queues=True)
+        self._start(watch_forever(self._supernodes, queues_watch, self.queues), "queue watch")
 
     async def give_away(self, seconds: float) -> None:
         """Move the channels and queues to other hosts, and accept none from other hosts, because this host stops.

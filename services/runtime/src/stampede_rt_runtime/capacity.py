@@ -39,7 +39,7 @@ class Slots:
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
         self.streams = self.singles = self.reserved = 0
-        self._of_caller: Counter[str] = Counter()  # the slots of each caller that has quotas
+        self._slots_of_callers: Counter[str] = Counter()  # the slots of each caller that has quotas
 
     def take(self, *, is_stream: bool, closed_to_clients: bool, subject: str = "") -> Callable[[], None]:
         """Take a slot. Returns a function that gives it back; call that function once.
@@ -59,7 +59,7 @@ class Slots:
                 f"{limits.concurrent_rpcs_max} calls are under way at this port, as many as it serves; try "
                 "again in a moment"
             )
-        elif subject and self._of_caller[subject] >= (share := -(-limits.concurrent_rpcs_max * 3 // 4)):
+        elif subject and self._slots_of_callers[subject] >= (share := -(-limits.concurrent_rpcs_max * 3 // 4)):
             raise Overloaded(
                 f"{subject} has {share} calls under way at this port, the most for one caller; make fewer calls at the "
                 "same time",
@@ -73,9 +73,9 @@ class Slots:
     def _count(self, kind: str, subject: str, step: int) -> None:
         setattr(self, kind, getattr(self, kind) + step)
         if subject and kind != "reserved":
-            self._of_caller[subject] += step
-            if not self._of_caller[subject]:
-                del self._of_caller[subject]
+            self._slots_of_callers[subject] += step
+            if not self._slots_of_callers[subject]:
+                del self._slots_of_callers[subject]
 
 
 # The host counts the refused items of these streams.

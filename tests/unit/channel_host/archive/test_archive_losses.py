@@ -1,4 +1,4 @@
-"""Items that an archive lacks at its beginning, at its end, and in segments without any whole block: readers hear
+"""Items that an archive lacks at its beginning, at its end, and in segments without any whole block: readers get
 LOST.
 """
 

@@ -1,4 +1,4 @@
-"""Losses of owners that no file records, because the file with the record is lost, too: readers hear LOST."""
+"""Losses of owners that no file records, because the file with the record is lost, too: readers get LOST."""
 
 from __future__ import annotations
 

@@ -65,13 +65,13 @@ def test_the_consumption_of_one_caller_does_not_use_up_the_memory_of_others() ->
     all channels.
     """
     channel, memory, clock = full_channel(4096, bytes_max=2**22, consumers=2)
-    memory.bytes_max = 2**40  # so only the shares of callers refuse
+    memory.bytes_max = 2**40  # so that the host refuses a caller only for its share
     share = 2**22 // (2 * CONSUMPTION_SHARE)
     parts = iter([range(first, first + 64, 2) for first in range(2, 4096, 64)])
     with pytest.raises(Overloaded, match=f"out-of-order consumption of greedy takes .* of at most {share}"):
         deque((channel.consume(7, part, LEASE_NANOS, "greedy") for part in parts), 0)
     assert 0.8 * share < channel.channel.consumption_bytes_of("greedy") <= share
-    channel.consume(7, [1], LEASE_NANOS, "greedy")  # in order, so the share does not refuse it
+    channel.consume(7, [1], LEASE_NANOS, "greedy")  # in order, so the host does not refuse it for the share
     channel.consume(8, range(2, 64, 2), LEASE_NANOS, "good")
     clock.advance(LEASE_NANOS + 1)
     channel.collect(clock.time_unix_nano())

@@ -92,10 +92,10 @@ def test_only_a_live_host_has_a_target(alive: bool, targets: list[str], target: 
 
 def test_a_change_of_the_directory_names_its_subject() -> None:
     removed = directory_pb2.CHANGE_KIND_REMOVED
-    of_queue = recorded_change(directory_pb2.DirectoryChange(kind=removed, queue=QUEUE))
-    assert (of_queue.removed, of_queue.queue, of_queue.channel) == (True, recorded_queue(QUEUE), None)
-    of_channel = recorded_change(directory_pb2.DirectoryChange(channel=CHANNEL))
-    assert (of_channel.removed, of_channel.channel) == (False, recorded_channel(CHANNEL))
+    queue_change = recorded_change(directory_pb2.DirectoryChange(kind=removed, queue=QUEUE))
+    assert (queue_change.removed, queue_change.queue, queue_change.channel) == (True, recorded_queue(QUEUE), None)
+    channel_change = recorded_change(directory_pb2.DirectoryChange(channel=CHANNEL))
+    assert (channel_change.removed, channel_change.channel) == (False, recorded_channel(CHANNEL))
     assert recorded_change(directory_pb2.DirectoryChange(group=GROUP)).group_id == b"g" * 16
-    of_host = recorded_change(directory_pb2.DirectoryChange(host=directory_pb2.HostRecord(name="h")))
-    assert (of_host.channel, of_host.queue, of_host.group_id) == (None, None, None)
+    host_change = recorded_change(directory_pb2.DirectoryChange(host=directory_pb2.HostRecord(name="h")))
+    assert (host_change.channel, host_change.queue, host_change.group_id) == (None, None, None)

@@ -24,7 +24,7 @@ def test_a_terminal_shows_colours() -> None:
     assert styled("gone", "red", Terminal()) == "\x1b[31mgone\x1b[0m"
 
 
-def test_an_output_that_is_no_terminal_has_none() -> None:
+def test_an_output_that_is_no_terminal_has_no_colours() -> None:
     assert styled("gone", "red", io.StringIO()) == "gone"
 
 

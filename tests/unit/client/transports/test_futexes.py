@@ -31,9 +31,9 @@ def test_functions_that_other_code_uses_at_the_same_time_stay_unchanged(
 ) -> None:
     """In an earlier version, each call set the argument types that another thread was perhaps using."""
     shared = [getattr(ctypes.pythonapi, name) for name in ("PyObject_GetBuffer", "PyBuffer_Release")]
-    of_others = [(ctypes.py_object, ctypes.c_void_p, ctypes.c_int), (ctypes.c_void_p,)]
-    for one, types in zip(shared, of_others, strict=True):
+    other_types = [(ctypes.py_object, ctypes.c_void_p, ctypes.c_int), (ctypes.c_void_p,)]
+    for one, types in zip(shared, other_types, strict=True):
         monkeypatch.setattr(one, "argtypes", types)
     with mmap.mmap(-1, mmap.PAGESIZE) as memory:
         futexes.address_of(memory)
-    assert [one.argtypes for one in shared] == of_others
+    assert [one.argtypes for one in shared] == other_types

@@ -57,7 +57,7 @@ async def test_a_get_ends_if_the_host_sends_more_items_than_requested() -> None:
         endpoint = grpc_async.ServerEndpoint(target, CallMetadata(lambda: None))
         with pytest.raises(st.StampedeError, match="a host sent 4 items, and the request asked for 3 at most"):
             await endpoint.gets().get(pb.GetRequest(limit=3), 10)
-        await until(lambda: host.ended, "the host hears that nobody reads")
+        await until(lambda: host.ended, "the host learns that nobody reads")
         await endpoint.aclose()
 
 
@@ -70,7 +70,7 @@ async def test_a_get_on_a_thread_ends_if_the_host_sends_more_items_than_requeste
 
         with pytest.raises(st.StampedeError, match="a host sent 4 items, and the request asked for 3 at most"):
             await asyncio.to_thread(get)
-        await until(lambda: host.ended, "the host hears that nobody reads")
+        await until(lambda: host.ended, "the host learns that nobody reads")
         await asyncio.to_thread(endpoint.close)
 
 

@@ -1,4 +1,4 @@
-"""Roles are started, heard and ended, whatever they do. The roles here are small programs of their own."""
+"""The start, the output and the end of roles, even if they fail. The roles here are small programs of their own."""
 
 import os
 import signal

@@ -308,7 +308,7 @@ async def test_the_requests_of_a_stream_end_one_by_one_and_a_few_at_a_time() -> 
         assert max(after - before for before, after in pairwise(seen)) == REQUESTS_PER_STEP
         rights.release("good")
         assert not rights._waiting
-        assert not rights._of_request
+        assert not rights._grants_of_requests
 
 
 async def test_a_lost_right_cannot_be_used_even_before_the_call_is_judged_again() -> None:

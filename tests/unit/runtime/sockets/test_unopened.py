@@ -32,4 +32,4 @@ def test_a_machine_that_uses_up_its_share_does_not_affect_others() -> None:
     for one in (*held, other):
         unopened.discard(one)
     assert len(unopened) == 0
-    assert not unopened._of_machine, "nothing is kept of a machine without such connections"
+    assert not unopened._counts_by_machine, "nothing is kept of a machine without such connections"

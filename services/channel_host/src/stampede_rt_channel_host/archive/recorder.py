@@ -151,8 +151,8 @@ class ChannelRecorder:
     def _expect(self, largest: int) -> None:
         """Report the bytes that are still to be written. `largest`: the bytes of the latest put."""
         rows = len(self._advances)
-        of_advances = rows * ADVANCE_BYTES + self.files.run_bytes_max if rows else 0
-        self.disk.set_unwritten(0 if self.is_stopped else self._puts.bytes + of_advances, largest)
+        advance_bytes = rows * ADVANCE_BYTES + self.files.run_bytes_max if rows else 0
+        self.disk.set_unwritten(0 if self.is_stopped else self._puts.bytes + advance_bytes, largest)
 
     @property
     def waiting_since(self) -> int | None:

@@ -76,7 +76,9 @@ def put_of(message: pb.FedPut, now: int) -> OwnerPart:
 def retries_to(window: RetryWindow, now: int) -> bytes:
     """The retry window of a channel, encoded for `retries_of`."""
     runs = groupby(window.kept(now), lambda run: run.producer_id)
-    return pb.OwnerFacts(producers=[_producer_to([*of_one], now) for _, of_one in runs]).SerializeToString()
+    return pb.OwnerFacts(
+        producers=[_producer_to([*producer_runs], now) for _, producer_runs in runs]
+    ).SerializeToString()
 
 
 def retries_of(encoded: bytes, now: int) -> list[KeptRun]:

@@ -57,10 +57,10 @@ class ReplicaDirectory:
     def __init__(self, supernodes: Supernodes, *, of_queues: bool = False) -> None:
         """`of_queues`: the subjects of all calls are queues, and not channels."""
         self._supernodes = supernodes
-        self._of_queues = of_queues
+        self._is_of_queues = of_queues
 
     def _subject(self, subject_id: bytes) -> subject_pb2.Subject:
-        if self._of_queues:
+        if self._is_of_queues:
             return subject_pb2.Subject(queue_id=subject_id)
         return subject_pb2.Subject(channel_id=subject_id)
 

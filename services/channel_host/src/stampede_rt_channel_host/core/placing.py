@@ -28,16 +28,16 @@ class OtherHost(NamedTuple):
 def connected_sets(groups_of: Mapping[bytes, Collection[bytes]]) -> list[list[bytes]]:
     """The channels in sets. Channels that share a group are in the same set. `groups_of`: by channel, its groups."""
     set_of: dict[bytes, list[bytes]] = {}  # by channel
-    of_group: dict[bytes, list[bytes]] = {}
+    sets_by_group: dict[bytes, list[bytes]] = {}
     for channel_id, group_ids in groups_of.items():
         own = set_of[channel_id] = [channel_id]
         for group_id in group_ids:
-            other = of_group.setdefault(group_id, own)
+            other = sets_by_group.setdefault(group_id, own)
             if other is not own:
                 for each in own:
                     set_of[each] = other
                 other.extend(own)
-                of_group.update((one, other) for one, held in of_group.items() if held is own)
+                sets_by_group.update((one, other) for one, held in sets_by_group.items() if held is own)
                 own = other
     return [*{id(one): one for one in set_of.values()}.values()]
 

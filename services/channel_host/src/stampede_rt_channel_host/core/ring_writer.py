@@ -133,8 +133,8 @@ class RingWriter:
 
     def _write_slot(self, run: RingRun, begin: int) -> None:
         words, word = self._words, HEADER_WORDS + (self._head & (self._size.slots - 1)) * SLOT_WORDS
-        of_items = run.first_seq, run.items, run.first_time, run.last_time
-        values = (*of_items, begin, len(run.body), run.duration, run.payload)
+        item_facts = run.first_seq, run.items, run.first_time, run.last_time
+        values = (*item_facts, begin, len(run.body), run.duration, run.payload)
         for place, value in enumerate(values, start=word):
             words[place] = value
 

@@ -185,9 +185,9 @@ class HostedGroup:
         for gets in [*self.gets.values()]:
             gets.end(error)
         waits = [reached for _, _, reached in self._floor_waits]
-        of_cut, of_members = self.cut_observers.ending(error), self.member_observers.ending(error)
-        yield from of_cut
-        yield from of_members
+        cut_ends, member_ends = self.cut_observers.ending(error), self.member_observers.ending(error)
+        yield from cut_ends
+        yield from member_ends
         for part in batched(waits, OBSERVERS_PER_PIECE):
             yield
             for reached in part:

@@ -69,9 +69,9 @@ class HostedGroups:
         if keys == before:
             return
         for channel_id in before:
-            of_channel = self._concerned[channel_id]
-            of_channel.pop(group, None)
-            if not of_channel:
+            concerned = self._concerned[channel_id]
+            concerned.pop(group, None)
+            if not concerned:
                 del self._concerned[channel_id]
         for channel_id in keys:
             self._concerned.setdefault(channel_id, {})[group] = None
@@ -107,9 +107,9 @@ class HostedGroups:
         If a channel is in no other group, this host does not follow it any more.
         """
         for channel_id in group.record.definition.members - staying:
-            of_channel = self._groups_of.get(channel_id, set())
-            of_channel.discard(group.record.group_id)
-            if not of_channel:
+            group_ids = self._groups_of.get(channel_id, set())
+            group_ids.discard(group.record.group_id)
+            if not group_ids:
                 self._groups_of.pop(channel_id, None)
                 if (own := self.own.pop(channel_id, None)) is not None:
                     own.stop_following()

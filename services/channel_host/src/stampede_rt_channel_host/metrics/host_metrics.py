@@ -33,14 +33,14 @@ class HostMetrics:
         shows = matcher(names) if names else _no_name
         self._store, self._queues, self._lease = store, queues, lease
         self._channels = ChannelMetrics(store, shows)
-        self._of_queues = QueueMetrics(queues, shows)
+        self._queue_metrics = QueueMetrics(queues, shows)
         self._groups = GroupMetrics(groups, shows)
 
     async def collect(self) -> list[AnyFamily]:
         """All metrics, made in pieces of about a millisecond."""
         families: list[AnyFamily] = [*self._of_host()]
-        for of_things in (self._channels, self._of_queues, self._groups):
-            families += await self._store.scheduler.do(of_things.families())
+        for metrics in (self._channels, self._queue_metrics, self._groups):
+            families += await self._store.scheduler.do(metrics.families())
         return families
 
     def _of_host(self) -> Iterator[Family]:

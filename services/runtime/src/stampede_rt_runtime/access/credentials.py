@@ -90,9 +90,9 @@ def _by_secret(accepted: AcceptedCredentials, credential: bytes | None) -> Calle
             f"copy the service's secret file to one of the files that callers read: {_SEARCHED_FILES}. A client sends "
             "it to another machine only if $STAMPEDE_SECRET_FILE, or connect(secret=...), names it",
         )
-    for secrets, of_cluster in ((accepted.secrets, True), (accepted.client_secrets, False)):
+    for secrets, is_cluster_secret in ((accepted.secrets, True), (accepted.client_secrets, False)):
         if _is_one_of(credential, secrets):
-            return by_secret(of_cluster=of_cluster)
+            return by_secret(of_cluster=is_cluster_secret)
     raise _refused(
         "the call brought a secret that differs from the service's",
         f"the caller read its secret from {_SEARCHED_FILES}: replace that file by the service's own",

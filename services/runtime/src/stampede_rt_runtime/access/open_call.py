@@ -163,7 +163,7 @@ class RequestRights:
         self._call = call
         self._lose = lose
         self._waiting: dict[Grant, dict[Hashable, None]] = {}
-        self._of_request: dict[Hashable, list[Grant]] = {}
+        self._grants_of_requests: dict[Hashable, list[Grant]] = {}
         if call is not None:
             call.requests = self
 
@@ -177,11 +177,11 @@ class RequestRights:
         if self._call is not None and self._call.caller.is_judged:
             grant = (verb, kind, name)
             self._waiting.setdefault(grant, {})[request] = None
-            self._of_request.setdefault(request, []).append(grant)
+            self._grants_of_requests.setdefault(request, []).append(grant)
 
     def release(self, request: Hashable) -> None:
         """Note that a request no longer waits. Idempotent."""
-        for grant in self._of_request.pop(request, ()):
+        for grant in self._grants_of_requests.pop(request, ()):
             waiting = self._waiting.get(grant)
             if waiting is not None:
                 waiting.pop(request, None)

@@ -113,7 +113,7 @@ class AccessRules:
 
     def __init__(self, rules: Iterable[AccessRule] = ()) -> None:
         self.rules = tuple(rules)
-        self._of_caller: dict[str, list[tuple[AccessRule, Callable[[str], bool]]]] = {}
+        self._rules_of_callers: dict[str, list[tuple[AccessRule, Callable[[str], bool]]]] = {}
         self._judged: dict[tuple[str, AccessVerb, AccessKind, str], AccessRuling] = {}
 
     def judge(self, caller: Caller, verb: AccessVerb, kind: AccessKind, name: str) -> AccessRuling:
@@ -143,12 +143,12 @@ class AccessRules:
         return AccessRuling(allowing is not None, allowing)
 
     def _rules_for(self, who: str) -> list[tuple[AccessRule, Callable[[str], bool]]]:
-        if who not in self._of_caller:
-            if len(self._of_caller) >= _CALLERS_KEPT_MAX:
-                self._of_caller.clear()
+        if who not in self._rules_of_callers:
+            if len(self._rules_of_callers) >= _CALLERS_KEPT_MAX:
+                self._rules_of_callers.clear()
             theirs = (rule for rule in self.rules if matcher(rule.who)(who))
-            self._of_caller[who] = [(rule, matcher(rule.names)) for rule in theirs]
-        return self._of_caller[who]
+            self._rules_of_callers[who] = [(rule, matcher(rule.names)) for rule in theirs]
+        return self._rules_of_callers[who]
 
 
 NO_RULES = AccessRules()

@@ -46,7 +46,7 @@ def _metric(family: AnyFamily) -> Metric:
         made.add_metric([], list(family.buckets), family.sum_seconds)
         return made
     kind = CounterMetricFamily if family.metric.kind is MetricKind.COUNTER else GaugeMetricFamily
-    of_kind = kind(name, help, labels=family.metric.labels)
+    prometheus_metric = kind(name, help, labels=family.metric.labels)
     for labels, value in family.samples:
-        of_kind.add_metric([escaped(one) for one in labels], value)
-    return of_kind
+        prometheus_metric.add_metric([escaped(one) for one in labels], value)
+    return prometheus_metric

@@ -11,28 +11,28 @@ class UnopenedStreams:
     """Limits the number of these connections, in all and for each machine (decision 0153). So one machine leaves room
     for the others."""
 
-    def __init__(self, most: int, of_machine_max: int) -> None:
-        self._most, self._of_machine_max = most, of_machine_max
+    def __init__(self, most: int, per_machine_max: int) -> None:
+        self._most, self._per_machine_max = most, per_machine_max
         self._all: set[StreamSocket] = set()
-        self._of_machine: Counter[str] = Counter()
+        self._counts_by_machine: Counter[str] = Counter()
 
     def __len__(self) -> int:
         return len(self._all)
 
     def has_room_for(self, machine: str) -> bool:
         """Whether the service may take another connection of this machine."""
-        return len(self._all) < self._most and self._of_machine[machine] < self._of_machine_max
+        return len(self._all) < self._most and self._counts_by_machine[machine] < self._per_machine_max
 
     def add(self, connection: StreamSocket) -> None:
         """Note a new connection."""
         self._all.add(connection)
-        self._of_machine[connection.machine] += 1
+        self._counts_by_machine[connection.machine] += 1
 
     def discard(self, connection: StreamSocket) -> None:
         """Note that a connection has sent its opening, or has ended. Idempotent."""
         if connection not in self._all:
             return
         self._all.remove(connection)
-        self._of_machine[connection.machine] -= 1
-        if not self._of_machine[connection.machine]:
-            del self._of_machine[connection.machine]
+        self._counts_by_machine[connection.machine] -= 1
+        if not self._counts_by_machine[connection.machine]:
+            del self._counts_by_machine[connection.machine]

@@ -119,11 +119,15 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
             found = zip(page.positions, page.queues, strict=True)
             return SearchStep([(at, (queue, tables.hosts[queue.host_id])) for at, queue in found], page.last)
 
-        of_queues, of_peers = (allowed_to(AccessVerb.LIST, kind) for kind in (AccessKind.QUEUE, AccessKind.PEER))
+        may_list_queue, may_list_peer = (
+            allowed_to(AccessVerb.LIST, kind) for kind in (AccessKind.QUEUE, AccessKind.PEER)
+        )
 
         def is_shown(found: tuple[QueueRecord, HostRecord]) -> bool:
             queue, _ = found
-            return of_queues(queue.name) if queue.mailbox_peer_id is None else of_peers(queue.mailbox_peer_name)
+            return (
+                may_list_queue(queue.name) if queue.mailbox_peer_id is None else may_list_peer(queue.mailbox_peer_name)
+            )
 
         page = await list_shown(
             self._calls,

@@ -73,7 +73,7 @@ def test_the_sum_of_all_numbers_is_bounded(caller: list[str], monkeypatch: pytes
     for number in range(300):
         caller.append(f"caller-{number}")
         use(owners, QUEUE, number, "taker")
-    assert len(owners) == len(owners._of_owner) == 100
+    assert len(owners) == len(owners._keys_of_owners) == 100
 
 
 def test_a_caller_that_may_not_act_owns_no_number(caller: list[str]) -> None:

@@ -48,7 +48,7 @@ def test_the_index_finds_the_same_blocks_as_a_scan_of_all_blocks(seed: int, late
     grown = SegmentBlocks(blocks[:count]).followed_by(blocks[count:])
     for places, found in ((blocks, grown), (blocks[:count], grown.up_to(count))):
         assert [*found] == places
-        assert [*found.of_advances] == [one for one in places if one.head.kind == ADVANCES]
+        assert [*found.advance_blocks] == [one for one in places if one.head.kind == ADVANCES]
         items = [one for one in places if one.head.kind == ITEMS]
         for _ in range(20):
             check_times(items, found, draw.randrange(-2, 62 if late else 400), draw.randrange(2))

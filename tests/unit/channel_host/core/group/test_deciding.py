@@ -79,7 +79,7 @@ def test_an_event_has_fifteen_frames_for_each_text_item() -> None:
     second, frame = 30_000_000, 2_000_000
     video, text = channel(), channel()
     follower = CutFollower(video, 0, NOW)
-    decider, of_text, of_video = EventDecider(0, second), OwnChannelTimes(text, NOW), OwnChannelTimes(video, NOW)
+    decider, text_times, video_times = EventDecider(0, second), OwnChannelTimes(text, NOW), OwnChannelTimes(video, NOW)
     counts = []
     for number in range(1, 61):
         clock = number * frame
@@ -87,11 +87,11 @@ def test_an_event_has_fifteen_frames_for_each_text_item() -> None:
         put_at(video, offer_time, clock)
         if number % 15 == 0:
             put_at(text, offer_time, clock)
-        of_text.observe(clock)
-        of_video.observe(clock)
-        newest = of_text.times(1).newest
+        text_times.observe(clock)
+        video_times.observe(clock)
+        newest = text_times.times(1).newest
         decider.note(newest, clock)
-        due = decider.due([member(b"text", newest), member(b"video", of_video.times(1).newest)], clock)
+        due = decider.due([member(b"text", newest), member(b"video", video_times.times(1).newest)], clock)
         if due is not None:
             follower.begin(due.cut)
             counts.append(len(times([one.slice for one in follower.take(clock, 10**6).slices])))

@@ -128,8 +128,8 @@ def test_late_items_between_two_streams_are_counted_as_dropped() -> None:
 
 def test_after_a_new_incarnation_all_earlier_items_are_counted_as_dropped() -> None:
     left, right = channel(10, 15, 30), channel(30, 90)
-    of_before = Position(20, 7, INCARNATION + 1)
-    resumed = Matcher(left, {RIGHT: LocalTrack(right)}, 1, NOW, after=of_before, next_seq=8)
+    former_position = Position(20, 7, INCARNATION + 1)
+    resumed = Matcher(left, {RIGHT: LocalTrack(right)}, 1, NOW, after=former_position, next_seq=8)
     assert pairs(resumed, right) == [(30, 30)]
     assert resumed.dropped == 2
 

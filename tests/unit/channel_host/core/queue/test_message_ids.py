@@ -60,8 +60,8 @@ def test_forgotten_message_ids_use_no_memory() -> None:
     while known.forget_one(core.now + 2 * TEN_MINUTES + 1):
         pass
     assert known.footprint_bytes == 0
-    assert not known._of_owner
-    assert not known._bytes_of_owner
+    assert not known._messages_of_owners
+    assert not known._bytes_messages_of_owners
 
 
 def test_only_one_of_two_waiting_runs_with_the_same_message_id_is_accepted() -> None:

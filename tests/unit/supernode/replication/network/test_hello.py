@@ -26,12 +26,16 @@ def refused(*, knows: int = 2, cluster: int = 2, **changes: Any) -> HelloRefusal
 
     The cluster of s1 is at level `cluster`, and the release of s2 knows level `knows`.
     """
-    of_s2, of_s1 = (ReplicationSettings(self_member=one, initial_members=[SELF, OTHER]) for one in (OTHER, SELF))
-    hello = introduction(of_s2, "s1", store_id=OTHERS_STORE, durable_end=(3, 7), roster=ROSTER, highest_level=knows)
+    s2_settings, s1_settings = (
+        ReplicationSettings(self_member=one, initial_members=[SELF, OTHER]) for one in (OTHER, SELF)
+    )
+    hello = introduction(
+        s2_settings, "s1", store_id=OTHERS_STORE, durable_end=(3, 7), roster=ROSTER, highest_level=knows
+    )
     for name, value in changes.items():
         setattr(hello, name, value)
     stores = KnownStores(known={"s2": OTHERS_STORE})
-    return refusal_of(hello, of_s1, roster=ROSTER, stores=stores, promise=Promise(3, 7), feature_level=cluster)
+    return refusal_of(hello, s1_settings, roster=ROSTER, stores=stores, promise=Promise(3, 7), feature_level=cluster)
 
 
 def test_a_member_whose_release_knows_the_clusters_level_is_accepted() -> None:

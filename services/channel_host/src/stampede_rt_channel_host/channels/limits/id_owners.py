@@ -24,7 +24,7 @@ class IdOwners:
 
     def __init__(self) -> None:
         self._owners: OrderedDict[Key, str] = OrderedDict()  # the oldest key first; "": a service or an operator
-        self._of_owner: dict[str, OrderedDict[Key, None]] = {}  # the same keys by owner, the oldest key first
+        self._keys_of_owners: dict[str, OrderedDict[Key, None]] = {}  # the same keys by owner, the oldest key first
         self._unused: set[Key] = set()  # keys whose first use is still under way
 
     def __len__(self) -> int:
@@ -65,7 +65,7 @@ class IdOwners:
     def _note(self, key: Key, owner: str) -> None:
         self._owners[key] = owner
         self._unused.add(key)
-        own = self._of_owner.setdefault(owner, OrderedDict())
+        own = self._keys_of_owners.setdefault(owner, OrderedDict())
         own[key] = None
         if len(own) > OWNED_IDS_OF_ONE_MAX:
             self._forget(next(iter(own)))
@@ -75,6 +75,6 @@ class IdOwners:
     def _forget(self, key: Key) -> None:
         owner = self._owners.pop(key)
         self._unused.discard(key)
-        del self._of_owner[owner][key]
-        if not self._of_owner[owner]:
-            del self._of_owner[owner]
+        del self._keys_of_owners[owner][key]
+        if not self._keys_of_owners[owner]:
+            del self._keys_of_owners[owner]

@@ -43,11 +43,11 @@ class Credit:
             self._on_change()
 
     def spend(self, amount: int) -> None:
-        """Take off the credit that a sent message costs."""
+        """Subtract the credit that a sent message costs."""
         self.left = 0 if self._is_for_one and amount else self.left - amount
 
     def close(self) -> None:
-        """Never call `on_change` again. It usually refers to the owner of this object."""
+        """Never call `on_change` again, because `on_change` usually refers to the owner of this object (a cycle)."""
         self._on_change = lambda: None
 
     def end(self) -> None:

@@ -122,7 +122,9 @@ class ArchivedRead:
         self._more = self._is_done = False
         self._edge: int | None = None  # where the next window begins
         self._lowest: int | None = self._held.oldest  # downwards: the earliest time of the windows so far
-        self._windows = self._of_memory = 0  # the number of read windows, and of read windows without archived items
+        self._windows = self._memory_windows = (
+            0  # the number of read windows, and of read windows without archived items
+        )
 
     def begin(self) -> Pieces[None]:
         """Read memory first if it may have all wanted items: if the interval begins within memory, or if the read goes
@@ -133,13 +135,13 @@ class ArchivedRead:
             yield from self.take(ArchiveWindow(ChannelIndex(), None, None, None))
         elif self._query.newest_first and in_memory and archived is not None and archived >= self._start:
             yield from self.take(ArchiveWindow(ChannelIndex(), archived, None, None))
-            self._of_memory = 1
+            self._memory_windows = 1
 
     def next_window(self) -> WantedWindow | None:
         """The next window to load, or None if the read has all its items."""
         if self._is_done:
             return None
-        size = WINDOW_BYTES if self._windows > self._of_memory else FIRST_WINDOW_BYTES
+        size = WINDOW_BYTES if self._windows > self._memory_windows else FIRST_WINDOW_BYTES
         if self._query.newest_first:
             return self._window_down(size)
         within, query, border = self._within, self._query, self._border
@@ -154,7 +156,7 @@ class ArchivedRead:
     def _window_down(self, size: int) -> WantedWindow:
         within, query, border = self._within, self._query, self._border
         high = min(border, (within.end, SEQ_END))
-        if self._windows > self._of_memory:
+        if self._windows > self._memory_windows:
             high = border = min(border, (self._edge or 0, SEQ_END))
         if query.after is not None:
             high = min(high, (max(query.after.time, within.start), SEQ_END))

@@ -188,7 +188,7 @@ def _advances(
     """
     following: int | None = None
     for segment in reversed(segments):
-        blocks = blocks_of(segment).of_advances
+        blocks = blocks_of(segment).advance_blocks
         count = sum(one.head.first_accepted <= as_of for one in blocks)
         if count < len(blocks):
             following = blocks[count].head.first_accepted

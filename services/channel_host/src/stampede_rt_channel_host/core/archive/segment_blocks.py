@@ -74,14 +74,14 @@ class SegmentBlocks(Sequence[PlacedBlock]):
         """These blocks, and then others."""
         more = _columns_of([*blocks], len(self))
         pairs: Iterable[Any] = zip(self._columns, more, strict=True)
-        return _made(_Columns(*(one + other for one, other in pairs)))
+        return _from_columns(_Columns(*(one + other for one, other in pairs)))
 
     def up_to(self, count: int) -> SegmentBlocks:
         """The first `count` blocks."""
-        heads, offsets, advances, *of_items = self._columns
+        heads, offsets, advances, *item_columns = self._columns
         items = bisect_left(self._columns.places, count)
         kept = (heads[: count * PACKED_HEAD_BYTES], offsets[:count], advances[: bisect_left(advances, count)])
-        return _made(_Columns(*kept, *(one[:items] for one in of_items)))
+        return _from_columns(_Columns(*kept, *(one[:items] for one in item_columns)))
 
     def before(self, offset: int) -> SegmentBlocks:
         """The blocks that begin before `offset`."""
@@ -180,7 +180,7 @@ class SegmentBlocks(Sequence[PlacedBlock]):
         return next((one.first_accepted for one in first if _records_loss(one)), None)
 
     @property
-    def of_advances(self) -> Sequence[PlacedBlock]:
+    def advance_blocks(self) -> Sequence[PlacedBlock]:
         """The blocks of advances."""
         return [self[at] for at in self._columns.advances]
 
@@ -192,7 +192,7 @@ def _records_loss(head: BlockHead) -> bool:
     return head.kind == GAP and head.first_seq == head.end_seq
 
 
-def _made(columns: _Columns) -> SegmentBlocks:
+def _from_columns(columns: _Columns) -> SegmentBlocks:
     blocks = SegmentBlocks.__new__(SegmentBlocks)
     blocks._sort(columns)
     return blocks

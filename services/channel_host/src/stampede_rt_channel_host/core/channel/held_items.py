@@ -48,12 +48,43 @@ class HeldItems:
     """
 
     __slots__ = (
-        "_blocks", "_cut", "_following", "_kept_body_bytes", "_newest_bytes_most", "_newest_is_open",
-        "_newest_items_most", "_newest_longest", "_on_floor_reset", "_on_gone", "_owes_trim", "_reported_to",
-        "_snapshots", "_stored_bytes", "_stored_items", "accepted", "accepted_bytes", "came_up_to", "collected",
-        "collected_by", "collected_end", "floor", "floor_resets", "freed_entries", "index", "items",
-        "last_cause", "late", "missed", "newest", "newest_collected", "newest_consumed", "oldest",
-        "overlap_nanos", "passed_seqs", "payload_bytes", "shared_batches",
+        "_blocks",
+        "_cut",
+        "_following",
+        "_kept_body_bytes",
+        "_newest_bytes_most",
+        "_newest_is_open",
+        "_newest_items_most",
+        "_newest_longest",
+        "_on_floor_reset",
+        "_on_gone",
+        "_reported_to",
+        "_snapshots",
+        "_stored_bytes",
+        "_stored_items",
+        "_trim_is_due",
+        "accepted",
+        "accepted_bytes",
+        "came_up_to",
+        "collected",
+        "collected_by",
+        "collected_end",
+        "floor",
+        "floor_resets",
+        "freed_entries",
+        "index",
+        "items",
+        "last_cause",
+        "late",
+        "missed",
+        "newest",
+        "newest_collected",
+        "newest_consumed",
+        "oldest",
+        "overlap_nanos",
+        "passed_seqs",
+        "payload_bytes",
+        "shared_batches",
     )  # fmt: skip
 
     def __init__(self, cut: Cut | None = None) -> None:
@@ -91,7 +122,7 @@ class HeldItems:
         self._stored_items = 0  # the items of these entries
         self._kept_body_bytes = 0  # the bodies of all runs with an entry in the index
         self._cut = cut
-        self._owes_trim = False  # whether the last call of `free` has left a part of the first entry to the next call
+        self._trim_is_due = False  # whether the last call of `free` has left a part of the first entry to the next call
         self.freed_entries = 0
         self.missed = self.passed_seqs = 0
         self.floor_resets = 0
@@ -135,7 +166,7 @@ class HeldItems:
     def has_backlog(self) -> bool:
         """Whether there are entries to free, now or after `report_gone` has told the consumers of them."""
         unreported = self._on_gone is not None and self._reported_to < self.floor
-        return unreported or self._owes_trim or self.index.has_below(self._free_floor)
+        return unreported or self._trim_is_due or self.index.has_below(self._free_floor)
 
     def _may_trim(self, floor: ItemKey) -> bool:
         """Whether at least three quarters of the first entry are below `floor`, and its run is large."""

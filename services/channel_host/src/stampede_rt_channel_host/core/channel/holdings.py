@@ -29,10 +29,10 @@ REPORTED_SLICES_MAX = 64
 FREED_ENTRIES_MAX = 2048
 """The most entries that one call frees, however many items are outdated. The next calls free the rest."""
 
-LIVE_SHARE_MIN = 4
+COPIED_DIVISOR = 4
 COPIED_PARTS_MAX = 4
-"""A channel copies the few remaining items of a run, and frees the run's body, under these conditions: The body has
-more than COPIED_BYTES_MIN bytes. At most one item in LIVE_SHARE_MIN is left, and in at most COPIED_PARTS_MAX parts."""
+"""A channel copies the few remaining items of a run, and frees the run's body, if the body has more than
+COPIED_BYTES_MIN bytes, and at most 1 / COPIED_DIVISOR of the items are left, in at most COPIED_PARTS_MAX parts."""
 
 
 class Holdings(HeldItems):
@@ -300,16 +300,16 @@ class Holdings(HeldItems):
         floor: ItemKey | None = None
         for freed in range(FREED_ENTRIES_MAX):
             if self._stored_items == self.items:  # nothing is outdated
-                self._owes_trim = False
+                self._trim_is_due = False
                 return False
             if freed >= entries_max and (backlog_bytes_max is None or self.backlog_bytes <= backlog_bytes_max):
                 return self.has_backlog
             if not self._free_entry(floor := floor or self._free_floor):
                 # In a steady flow the next call frees the whole entry, so a copy of its rest would be of no use.
-                self._owes_trim = (freed > 0 or not trims) and self._may_trim(floor)
-                if not self._owes_trim:
+                self._trim_is_due = (freed > 0 or not trims) and self._may_trim(floor)
+                if not self._trim_is_due:
                     self._trim(floor)
-                return self._owes_trim
+                return self._trim_is_due
         return self.has_backlog
 
     def _free_entry(self, floor: ItemKey) -> bool:
@@ -321,7 +321,7 @@ class Holdings(HeldItems):
         return entry is not None
 
     def _trim(self, floor: ItemKey) -> None:
-        """Free the items below `floor` of the first entry, if they are at least three quarters of a large run."""
+        """Free the first entry's items below `floor`, if they are at least three quarters of a large run."""
         trimmed = self.index.trim_below(floor) if self._may_trim(floor) else None
         if trimmed is not None:
             self._forget(trimmed)
@@ -337,7 +337,7 @@ class Holdings(HeldItems):
         run.kept -= part.items
         if not run.kept:
             self._kept_body_bytes -= len(run.body)
-        elif run.kept * LIVE_SHARE_MIN <= len(run) and len(run.body) > COPIED_BYTES_MIN:
+        elif run.kept * COPIED_DIVISOR <= len(run) and len(run.body) > COPIED_BYTES_MIN:
             self._copy_rest(run)
 
     def _copy_rest(self, run: ColumnRun) -> None:

@@ -128,9 +128,9 @@ class WantedChannels:
         """Enter the creator under its new number of channels, and update `_most`. `step`: 1 or -1."""
         count = len(self._requested.get(creator, ()))
         if count:
-            of_count = self._with_count[count]
-            del of_count[creator]
-            if not of_count:
+            creators = self._with_count[count]
+            del creators[creator]
+            if not creators:
                 del self._with_count[count]
         if count + step:
             self._with_count.setdefault(count + step, {})[creator] = None

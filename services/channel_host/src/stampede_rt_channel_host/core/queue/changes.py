@@ -30,12 +30,12 @@ class QueueChanges:
     """The changes since the last `clear`. Times are instants of the host's clock.
 
     `runs`: the accepted runs. `items`: the tracked messages that have changed and that the queue still holds, by seq.
-    `of_items`: their changes; None for a message that is copied whole. `removed`: the seqs of the messages that have
-    left. `acknowledged`, `producers` and `message_ids`: the new entries of the lists that the queue keeps to recognise
-    repeated calls, in order.
+    `item_changes`: their changes; None for a message that is copied whole. `removed`: the seqs of the messages that
+    have left. `acknowledged`, `producers` and `message_ids`: the new entries of the lists that the queue keeps to
+    recognise repeated calls, in order.
     """
 
-    __slots__ = ("acknowledged", "items", "message_ids", "of_items", "producers", "removed", "runs")
+    __slots__ = ("acknowledged", "item_changes", "items", "message_ids", "producers", "removed", "runs")
 
     def __init__(self) -> None:
         self.clear()
@@ -44,7 +44,7 @@ class QueueChanges:
         """Forget all changes."""
         self.runs: list[QueuedRun] = []
         self.items: dict[int, TrackedItem] = {}
-        self.of_items: dict[int, ItemChange | None] = {}
+        self.item_changes: dict[int, ItemChange | None] = {}
         self.removed: list[int] = []
         self.acknowledged: list[AcknowledgedDelivery] = []
         self.producers: list[KeptRun] = []
@@ -56,15 +56,15 @@ class QueueChanges:
         if seq not in self.items:
             self.items[seq] = item
             is_whole = len(item.leases) <= WHOLE_LEASES_MAX
-            self.of_items[seq] = None if is_whole else ItemChange(len(item.acknowledged))
-        change = self.of_items[seq]
+            self.item_changes[seq] = None if is_whole else ItemChange(len(item.acknowledged))
+        change = self.item_changes[seq]
         if change is not None and delivery_id is not None:
             change.deliveries[delivery_id] = None
 
     def remove(self, seq: int) -> None:
         """Note that a message has left the queue."""
         self.items.pop(seq, None)
-        self.of_items.pop(seq, None)
+        self.item_changes.pop(seq, None)
         self.removed.append(seq)
 
     def __bool__(self) -> bool:

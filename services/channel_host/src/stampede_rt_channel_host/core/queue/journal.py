@@ -172,7 +172,7 @@ class QueueJournal:
         )
 
     def _state_of(self, item: TrackedItem, now: int) -> ItemState:
-        change = self._changes.of_items[item.seq] if self.takes_changes else None
+        change = self._changes.item_changes[item.seq] if self.takes_changes else None
         if change is None:
             return state_of(item, self._queue_leases, now)
         return change_of(item, change, self._queue_leases, now)

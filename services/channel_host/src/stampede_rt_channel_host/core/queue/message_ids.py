@@ -38,7 +38,7 @@ class MessageIds:
     def __init__(self) -> None:
         self._known: OrderedDict[str, KnownMessage] = OrderedDict()  # in the order of acceptance
         # The known messages of each owner, in the order of acceptance, and some forgotten ones.
-        self._of_owner: dict[str, deque[KnownMessage]] = {}
+        self._messages_of_owners: dict[str, deque[KnownMessage]] = {}
         self._bytes_of_owner: Counter[str] = Counter()  # the bytes of the known ids of each owner that has any
         self.footprint_bytes = 0
 
@@ -55,7 +55,7 @@ class MessageIds:
         if message_id in self._known:
             self._forget(message_id)
         known = self._known[message_id] = KnownMessage(message_id, seq, now, owner)
-        self._of_owner.setdefault(owner, deque()).append(known)
+        self._messages_of_owners.setdefault(owner, deque()).append(known)
         self._bytes_of_owner[owner] += _cost(message_id)
         self.footprint_bytes += _cost(message_id)
         while self.footprint_bytes > KNOWN_BYTES_MAX:
@@ -67,7 +67,7 @@ class MessageIds:
         Forgets somewhat more than needed, because this method looks at all owners.
         """
         owner = max(self._bytes_of_owner, key=self._bytes_of_owner.__getitem__)
-        own, enough = self._of_owner[owner], KNOWN_BYTES_MAX - KNOWN_BYTES_MAX // SHED_PARTS
+        own, enough = self._messages_of_owners[owner], KNOWN_BYTES_MAX - KNOWN_BYTES_MAX // SHED_PARTS
         while own and self.footprint_bytes > enough:
             oldest = own.popleft()
             if self._known.get(oldest.message_id) is oldest:
@@ -87,17 +87,17 @@ class MessageIds:
 
     def copied(self) -> list[deque[KnownMessage]]:
         """Lists with the known messages, for `latest_of`. Copies 80,000 messages in a millisecond."""
-        return [own.copy() for own in self._of_owner.values()]
+        return [own.copy() for own in self._messages_of_owners.values()]
 
     def _forget(self, message_id: str) -> None:
         known, cost = self._known.pop(message_id), _cost(message_id)
         self.footprint_bytes -= cost
         self._bytes_of_owner[known.owner] -= cost
-        own = self._of_owner[known.owner]
+        own = self._messages_of_owners[known.owner]
         if own and own[0] is known:
             own.popleft()
         if not self._bytes_of_owner[known.owner]:
-            del self._bytes_of_owner[known.owner], self._of_owner[known.owner]
+            del self._bytes_of_owner[known.owner], self._messages_of_owners[known.owner]
 
 
 def latest_of(lists: Iterable[Iterable[KnownMessage]], now: int) -> Iterator[KnownMessage]:

@@ -58,6 +58,6 @@ def group_page(tables: Tables, glob: str, channel_id: bytes, after_name: str, gr
 def _names(tables: Tables, glob: str, channel_id: bytes, after_name: str) -> Iterator[str]:
     if channel_id:
         check_id(channel_id, "channel_id")
-        of_channel = sorted(group.name for group in tables.groups.with_channel(channel_id))
-        return (name for name in of_channel if name > after_name)
+        channel_groups = sorted(group.name for group in tables.groups.with_channel(channel_id))
+        return (name for name in channel_groups if name > after_name)
     return queries.names_from(tables.groups.ids, fixed_prefix(glob), after_name)

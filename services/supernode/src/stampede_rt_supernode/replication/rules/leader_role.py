@@ -72,11 +72,11 @@ class LeaderRole(Membership):
         """
         if not self.is_leader:
             return
-        of_most = self.poll.of_most(self.voter_ids())
-        self.digests.compare_with_majority(*of_most)
+        majority_digest = self.poll.of_most(self.voter_ids())
+        self.digests.compare_with_majority(*majority_digest)
         if not self.digests.diverged_at:
             return
-        right = [node for node in self.other_voters if node.id in self.poll.agreeing(of_most[1])]
+        right = [node for node in self.other_voters if node.id in self.poll.agreeing(majority_digest[1])]
         successor = max(right, key=lambda node: self.match_index[node], default=None)
         if successor is not None:
             self.transport.send(successor, TimeoutNow(term=self.term))

@@ -215,12 +215,12 @@ class BufferedTransport:
         return self._nodes.get(member_id)
 
     def add_node(self, node: MemberNode) -> None:
-        """Hear one more member, and send to it."""
+        """Receive from one more member, and send to it."""
         self._nodes[node.id] = node
         if node.id in self._connected and self._handler is not None:
             self._handler.on_connected(node)
 
     def drop_node(self, node: MemberNode) -> None:
-        """Neither hear this member nor send to it any more."""
+        """Receive nothing from this member, and send nothing to it any more."""
         if self._nodes.pop(node.id, None) is not None and self._handler is not None:
             self._handler.on_disconnected(node)

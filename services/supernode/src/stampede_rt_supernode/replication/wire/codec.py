@@ -84,7 +84,7 @@ def _from_leader(message: FromLeader) -> pb.RaftAppendEntries:
 def _decode_append(body: pb.RaftAppendEntries) -> FromLeader:
     term, commit_index = checked_number(body.term), checked_number(body.commit_index)
     round_number, digest = checked_number(body.round), _digest(body.digest_index, body.digest)
-    of_most = _digest(body.most_digest_index, body.most_digest)
+    majority_digest = _digest(body.most_digest_index, body.most_digest)
     if body.installing_snapshot:
         chunk = _checked_chunk(body.chunk) if body.HasField("chunk") else None
         return InstallSnapshot(
@@ -93,7 +93,7 @@ def _decode_append(body: pb.RaftAppendEntries) -> FromLeader:
             chunk=chunk,
             round=round_number,
             digest=digest,
-            digest_of_most=of_most,
+            digest_of_most=majority_digest,
         )
     previous, previous_term = checked_number(body.previous_log_index), checked_number(body.previous_log_term)
     entries = [decode_entry(entry) for entry in body.entries]
@@ -110,7 +110,7 @@ def _decode_append(body: pb.RaftAppendEntries) -> FromLeader:
         entries=entries,
         round=round_number,
         digest=digest,
-        digest_of_most=of_most,
+        digest_of_most=majority_digest,
     )
 
 
