@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from contextlib import nullcontext
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import AsyncMock
@@ -17,6 +18,7 @@ from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.copies import queue_feed
 from stampede_rt_channel_host.copies.queue_feed import QueueFeedStream
 from stampede_rt_channel_host.copies.queue_puts import read_answer
+from stampede_rt_channel_host.copies.queue_steps import STEPS_PER_REQUEST
 from stampede_rt_runtime.sockets.dialing import HostStream
 
 LIMIT_S = 20
@@ -33,6 +35,7 @@ class Rig:
         self._requests: asyncio.Queue[pb.FeedQueueRequest] = asyncio.Queue()
         journal = SimpleNamespace(next_step=1, steps_from=lambda first, most: self._steps[first - 1 :])
         hosted: Any = SimpleNamespace(record=SimpleNamespace(message=b""))
+        self._journal = journal
         replication: Any = SimpleNamespace(journal=journal)
         self._feed = QueueFeedStream(hosted, replication, lambda: 0, *TO_REPLICA)
         self._sending = asyncio.ensure_future(self._feed._send_steps(self))
@@ -42,11 +45,16 @@ class Rig:
 
     def add_step(self) -> None:
         self._steps.append(SimpleNamespace(number=len(self._steps) + 1))
+        self._journal.next_step += 1
         self._feed.wake()
 
     async def parts(self) -> int:
         """The number of parts of the next request."""
         return len((await asyncio.wait_for(self._requests.get(), LIMIT_S)).parts)
+
+    @property
+    def unread_requests(self) -> int:
+        return self._requests.qsize()
 
     async def end(self) -> None:
         self._sending.cancel()
@@ -59,6 +67,18 @@ async def test_each_step_is_one_request(monkeypatch: pytest.MonkeyPatch) -> None
     for _ in range(3):
         rig.add_step()
         assert await rig.parts() == 1
+    await rig.end()
+
+
+async def test_the_host_serves_other_callers_between_two_requests(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = Rig(monkeypatch, LIMIT_S)
+    for _ in range(5 * STEPS_PER_REQUEST):
+        rig.add_step()
+    requests = [0]
+    while requests[-1] < 5:
+        await asyncio.sleep(0)
+        requests.append(rig.unread_requests)
+    assert max(later - earlier for earlier, later in pairwise(requests)) == 1
     await rig.end()
 
 

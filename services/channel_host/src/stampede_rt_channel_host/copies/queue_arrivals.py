@@ -24,7 +24,9 @@ from stampede_rt_channel_host.copies.incoming_moves import until_known
 from stampede_rt_channel_host.copies.move_directory import MoveDirectory
 from stampede_rt_channel_host.copies.move_slots import MoveSlots
 from stampede_rt_channel_host.copies.queue_messages import ArrivingQueue
+from stampede_rt_channel_host.core.channel.pieces import run_to_end
 from stampede_rt_channel_host.core.queue import QueueCore, QueueLimits
+from stampede_rt_channel_host.core.queue.handoff import freeing
 from stampede_rt_channel_host.core.records import RecordedQueue
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from stampede_rt_channel_host.queues.queue_content import QueueContent
@@ -147,14 +149,17 @@ class QueueArrivals:
 
     def _restored(self, record: RecordedQueue, arriving: ArrivingQueue) -> QueueCore:
         """The queue. A thread does this work, because it takes some microseconds for each message."""
-        return QueueCore.restore(
+        state = arriving.state()
+        core = QueueCore.restore(
             QueueLimits.of(record.policy),
-            arriving.state(),
+            state,
             self._queues.now(),
             incarnation=record.incarnation,
             name=display_name(record),
             may_serve=self._queues.may_serve,
         )
+        run_to_end(freeing(state))  # in one step the interpreter would run no other thread meanwhile
+        return core
 
     async def _take_over(self, record: RecordedQueue, content: QueueContent, permit: bytes) -> RecordedQueue:
         """Become the owner. A caller that asks for the queue right after the commit gets it with its messages."""

@@ -210,6 +210,8 @@ class QueueFeedStream:
                 await self._write(call, self._request(parts=parts))
             if steps:
                 self.next_step = steps[-1].number + 1
+                if self.next_step < self._replication.journal.next_step:
+                    await asyncio.sleep(0)
             owes_sign = not steps and not await self._wait_for_step(call)
 
     async def _wait_for_step(self, call: Any) -> bool:

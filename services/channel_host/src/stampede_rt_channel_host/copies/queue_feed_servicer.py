@@ -15,7 +15,9 @@ from stampede_rt_channel_host.copies.feed_callers import FeedCallers
 from stampede_rt_channel_host.copies.queue_puts import PUT_TAG, encode_answer, put_of, read_put
 from stampede_rt_channel_host.copies.queue_steps import ArrivingParts, WholeQueue
 from stampede_rt_channel_host.copies.replica_directory import ReplicaDirectory
+from stampede_rt_channel_host.core.channel.pieces import run_to_end
 from stampede_rt_channel_host.core.queue import AheadPut, QueueCore, QueueStep
+from stampede_rt_channel_host.core.queue.handoff import freeing
 from stampede_rt_channel_host.core.records import RecordedQueue
 from stampede_rt_channel_host.queues import refusals
 from stampede_rt_channel_host.queues.queue_store import QueueStore
@@ -159,7 +161,10 @@ class _Feed:
         self._note(self.record.queue_id)
 
     def _restored(self, arrived: WholeQueue) -> QueueCore:
-        return self._copies.restored(self.record, arrived.state())
+        state = arrived.state()
+        core = self._copies.restored(self.record, state)
+        run_to_end(freeing(state))  # in one step the interpreter would run no other thread meanwhile
+        return core
 
     def take_put(self, put: AheadPut, request_bytes: int, write: Callable[[bytes], None]) -> bool:
         """Apply a request that is a put. Returns False, and does nothing, if the copy might refuse it.

@@ -25,6 +25,7 @@ from stampede_rt_channel_host.copies.move_slots import MoveSlots
 from stampede_rt_channel_host.copies.outgoing_moves import RETRY_SECONDS, OutgoingMoves
 from stampede_rt_channel_host.copies.queue_messages import parts_of
 from stampede_rt_channel_host.core.queue import QueueHandoff
+from stampede_rt_channel_host.core.queue.handoff import freeing
 from stampede_rt_channel_host.core.records import RecordedQueue
 from stampede_rt_channel_host.queues import refusals
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
@@ -88,6 +89,8 @@ class QueueHandovers:
                 await _send(parts_of(state, permit, next_step), keeping, context)
                 answer = await context.read()
             finally:
+                if keeping.done():  # otherwise a thread may still read the state
+                    self._queues.scheduler.begin(freeing(state))
                 keeping.cancel()
         return isinstance(answer, pb.HandOverQueueRequest) and answer.committed_epoch > 0
 

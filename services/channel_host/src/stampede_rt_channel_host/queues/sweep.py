@@ -8,7 +8,7 @@ from typing import NoReturn
 from stampede_rt_channel_host.queues.queue_store import QueueStore
 
 ROUND_SECONDS = 0.5
-QUEUES_PER_STEP_MAX = 64
+QUEUES_PER_STEP_MAX = 4  # a queue with much work is due several times, each time for about a millisecond
 
 
 async def sweep_queues_forever(store: QueueStore) -> NoReturn:
@@ -24,7 +24,7 @@ async def sweep_queues_forever(store: QueueStore) -> NoReturn:
 
 
 def sweep_queues(store: QueueStore) -> int:
-    """Handle up to QUEUES_PER_STEP_MAX due queues. Returns their number; 0 if no queue is due."""
+    """Handle up to QUEUES_PER_STEP_MAX due queues, or pieces of their work. Returns their number; 0 if none is due."""
     for at in range(QUEUES_PER_STEP_MAX):
         hosted = store.deadlines.pop(store.now())
         if hosted is None:

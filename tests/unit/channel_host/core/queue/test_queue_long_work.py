@@ -15,6 +15,7 @@ from stampede_rt_channel_host.core.queue import Batch, Enqueue, QueueCore, Queue
 from stampede_rt_channel_host.core.queue.dispatcher import ITEMS_DISPATCHED_MAX
 from stampede_rt_channel_host.core.queue.due_work import CHECKED_PER_CALL_MAX
 from stampede_rt_channel_host.core.queue.enqueue_line import DROPPED_PER_RUN_MAX, OFFERED_PER_CALL_MAX
+from stampede_rt_channel_host.core.queue.handoff import FREED_PER_PIECE, freeing
 from stampede_rt_channel_host.core.queue.journal import FORGOTTEN_PER_CALL_MAX
 from stampede_rt_channel_host.core.queue.queue import EMPTIED_PER_PIECE, ENDED_PER_CALL_MAX
 from stampede_rt_channel_host.core.queue.queue_snapshot import MESSAGES_PER_PIECE
@@ -269,3 +270,11 @@ def test_a_call_forgets_a_bounded_number_of_replicated_steps() -> None:
     journal.forget(journal.next_step)
     assert journal.size_bytes == 0
     assert journal.steps_from(journal.next_step, 1) == []
+
+
+def test_the_values_of_a_queue_are_freed_in_pieces() -> None:
+    core = leased(3 * FREED_PER_PIECE)
+    state = core.queue.export(core.now)
+    assert (len(state.runs), len(state.items)) == (3 * FREED_PER_PIECE, 3 * FREED_PER_PIECE)
+    assert sum(1 for _ in freeing(state)) == 6
+    assert not state.items

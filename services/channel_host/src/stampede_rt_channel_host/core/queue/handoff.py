@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from itertools import chain
 from typing import NamedTuple
 
+from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.dedup import KeptRun
 from stampede_rt_channel_host.core.queue.acknowledged_deliveries import AcknowledgedDelivery
 from stampede_rt_channel_host.core.queue.changes import ItemChange
@@ -21,6 +22,8 @@ from stampede_rt_channel_host.core.queue.message_ids import KnownMessage
 from stampede_rt_channel_host.core.queue.queue_items import QueueItems, QueueTally
 from stampede_rt_channel_host.core.queue.queue_leases import Lease, QueueLeases
 from stampede_rt_channel_host.core.queue.takers import TakerState
+
+FREED_PER_PIECE = 1024
 
 
 class LeaseState(NamedTuple):
@@ -80,6 +83,15 @@ class QueueHandoff:
     acknowledged: Sequence[AcknowledgedDelivery]
     producers: Sequence[KeptRun]
     message_ids: Sequence[KnownMessage]
+
+
+def freeing(state: QueueHandoff) -> Pieces[None]:
+    """Free the memory, in pieces. Nobody may use `state` any more."""
+    for values in (state.runs, state.items, state.producers, state.message_ids, state.acknowledged):
+        assert isinstance(values, list), "the values are in lists"
+        while values:
+            del values[-FREED_PER_PIECE:]
+            yield
 
 
 def restore(

@@ -19,6 +19,7 @@ from stampede_rt_channel_host.core.queue.changes import QueueChanges
 from stampede_rt_channel_host.core.queue.chunked_map import ChunkedMap
 from stampede_rt_channel_host.core.queue.enqueue_line import EnqueueLine
 from stampede_rt_channel_host.core.queue.handoff import (
+    FREED_PER_PIECE,
     ItemState,
     QueueHandoff,
     SeqRange,
@@ -33,7 +34,6 @@ from stampede_rt_channel_host.core.queue.queue_leases import QueueLeases
 
 MESSAGES_PER_PIECE = 256
 """The messages and producers that one piece copies, or more if the queue has changed more since the last piece."""
-FREED_PER_PIECE = 1024
 
 
 class _CopiedMessage(NamedTuple):
