@@ -61,7 +61,7 @@ def test_forgotten_message_ids_use_no_memory() -> None:
         pass
     assert known.footprint_bytes == 0
     assert not known._messages_of_owners
-    assert not known._bytes_messages_of_owners
+    assert not known._bytes_of_owner
 
 
 def test_only_one_of_two_waiting_runs_with_the_same_message_id_is_accepted() -> None:
