@@ -266,7 +266,8 @@ class SegmentFiles(SegmentReads):
         self._file = os.open(self._files.file_of(number), os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o600)
         sync_folder(self._folder)
         sync_folder(self._folder.parent)  # the folder may be new
-        opening = encode_opening(json.dumps(self._facts).encode(), head.first_seq)
+        self.earlier = max([self.earlier, *(one.high for one in self._segments if one.high is not None)])
+        opening = encode_opening(json.dumps(self._facts).encode(), head.first_seq, self.earlier)
         write_all(self._file, opening)
         if self._advance is not None:  # a segment begins with the latest advance, for reads as of an instant
             advance = encode_advances([self._advance], head.first_seq, self._near)[1]
@@ -275,8 +276,7 @@ class SegmentFiles(SegmentReads):
         length = sum(map(len, opening))
         self._begun_at, self._written_to, self._flushed_to = head.first_accepted, length, 0
         first_seq = 1 if self._follows_damage and not self._segments else head.first_seq
-        fresh = Segment(number, length, 0, first_seq, head.first_seq, None, None, 0)
-        self._segments = (*self._segments, fresh)
+        self._segments = (*self._segments, Segment(number, length, 0, first_seq, head.first_seq, None, None, 0))
 
     def _end_segment(self) -> None:
         if self._file is not None:

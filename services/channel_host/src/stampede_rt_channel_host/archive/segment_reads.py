@@ -10,6 +10,7 @@ from stampede_rt_channel_host.archive.kept_blocks import FoundBlocks, KeptBlocks
 from stampede_rt_channel_host.archive.segment_folder import SegmentPlace
 from stampede_rt_channel_host.core.archive import (
     HEAD_BYTES,
+    NO_KEY,
     ArchivedAdvance,
     ArchivedPart,
     ArchivedRun,
@@ -39,7 +40,7 @@ from stampede_rt_channel_host.core.archive import (
     window_of,
 )
 from stampede_rt_channel_host.core.archive.stored_segment import up_to
-from stampede_rt_channel_host.core.channel import AcceptedRows, Run
+from stampede_rt_channel_host.core.channel import AcceptedRows, ItemKey, Run
 
 Opened = Callable[[int], AbstractContextManager[ReadAt]]
 """Opens a segment. The context gives a function that reads its bytes."""
@@ -53,6 +54,8 @@ class SegmentReads:
         self.place = place
         self._segments: tuple[Segment, ...] = ()
         self._kept = KeptBlocks() if kept is None else kept
+        self.earlier: ItemKey = NO_KEY
+        """The greatest key of the items that the channel has accepted before the next segment, if it is known."""
         self.cut: CutRun | None = None
         """Cuts the last run of a block whose later items are in the next segment, too; None: there is no such block."""
         self.join: Callable[[Sequence[Run]], Sequence[Run]] = _as_they_are
@@ -127,7 +130,8 @@ class SegmentReads:
         missing += border_holes(segments, blocks_of, taken, reach)
         window = window_of(runs, chosen, wanted.low, wanted.high, down=wanted.wanted.down)
         rows = AcceptedRows(*zip(*accepted, strict=True)) if accepted else None
-        return window._replace(holes=missing, doubts=doubts, accepted=rows)
+        earlier_to = blocks_of(segments[0]).earlier_to if segments and reach.meets(segments[0]) else None
+        return window._replace(holes=missing, doubts=doubts, earlier_to=earlier_to, accepted=rows)
 
     def past(self, segments: Sequence[Segment], as_of: int, decode: Callable[[bytes], Run]) -> PastArchive:
         """The segments as they were at an earlier instant."""

@@ -81,6 +81,12 @@ class Recording:
             channel, opened.files, opened.found.segments, opened.disk, from_memory=from_memory
         )
         self._reach = ArchiveReach(self.recorder, channel)
+        held = channel.held
+        earlier = [
+            held.newest_collected,
+            *([] if from_memory else [held.newest]),
+        ]  # the archive will not have these items
+        opened.files.earlier = max([opened.files.earlier, *((one, 1) for one in earlier if one is not None)])
         if from_memory and is_start(channel.next_seq):  # the former owner had no item with which to note its loss
             found_to = max((one.end_seq for one in opened.found.segments), default=1)
         notes_loss = not from_memory or found_to is not None

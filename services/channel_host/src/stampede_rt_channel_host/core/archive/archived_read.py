@@ -120,6 +120,7 @@ class ArchivedRead:
         self._holes: set[Hole] = set()  # the holes in the interval
         self._doubts: set[Doubt] = set()  # the doubts in the interval
         self._more = self._is_done = False
+        self._earlier_to: int | None = None  # see `ArchiveWindow.earlier_to`
         self._edge: int | None = None  # where the next window begins
         self._lowest: int | None = self._held.oldest  # downwards: the earliest time of the windows so far
         self._windows = self._memory_windows = (
@@ -175,6 +176,7 @@ class ArchivedRead:
         answer = yield from reading.answer(query, self._within, clock)
         self._windows += 1
         first, last = self._within.start, self._last_instant
+        self._earlier_to = self._earlier_to if window.earlier_to is None else window.earlier_to
         self._holes.update(one for one in window.holes if one.start <= last and one.end >= first)
         self._doubts.update(one for one in window.doubts if one.start <= last and one.end >= first)
         self._last, self._reading = answer, reading
@@ -245,8 +247,9 @@ class ArchivedRead:
             reason = reading.reason(self._query, self._within, slices, more=self._more)
         following = self._next_time
         return last._replace(
-            slices=slices, next_time=following, more=self._more, reason=reason, next_times=self._next_times
-        )
+            slices=slices, next_time=following, more=self._more, reason=reason, next_times=self._next_times,
+            truncated=last.truncated or reason == "COLLECTED",
+        )  # fmt: skip
 
     def _lack(self, slices: Sequence[Slice]) -> Reason | None:
         """The reason of an answer that lacks items because the archive lacks them, or None. `slices`: the items of the
@@ -261,7 +264,8 @@ class ArchivedRead:
             last = slices[-1].last_time
         lacking = {one for one in self._holes if one.start <= last and one.end >= first}
         if not lacking:
-            return _doubted({one for one in self._doubts if one.start <= last and one.end >= first})
+            doubts = {one for one in self._doubts if one.start <= last and one.end >= first}
+            return _doubted(doubts) or self._dropped(first)
         self.missing_items = count = sum(one.items for one in lacking)
         start, end = min(one.start for one in lacking), max(one.end for one in lacking)
         if not count:
@@ -277,6 +281,15 @@ class ArchivedRead:
             "collected them before they were archived, or their block or file is damaged or removed",
             _after(end),
         )
+
+    def _dropped(self, first: int) -> Reason | None:
+        """The reason of an answer from `first` on that lacks dropped items although the archive has earlier ones."""
+        starts = [one.time for one in (self._query.after, self._query.newer_than) if one is not None]
+        first = first if self._query.newest_first else max([first, *starts])
+        if self._earlier_to is None or not self._has_dropped or first > self._earlier_to or self._within.is_empty:
+            return None
+        until = format_instant(self._earlier_to)
+        return Reason("COLLECTED", f"the archive lacks items at or before {until}: they came before its first item")
 
 
 def _doubted(doubts: set[Doubt]) -> Reason | None:

@@ -125,6 +125,7 @@ def pieces_of(body: Body) -> Sequence[bytes]:
     return body.parts if isinstance(body, ReferencedBody) and is_long else (bytes(body),)
 
 
+NO_KEY: ItemKey = (0, 0)
 NOTHING_LOST = MIN_INSTANT
 """A gap without seqs, and with this acceptance instant, withdraws an earlier gap."""
 
@@ -156,9 +157,10 @@ def decode_advances(content: bytes) -> list[ArchivedAdvance]:
     return [ArchivedAdvance._make(one) for one in _ADVANCE.iter_unpack(content)]
 
 
-def encode_opening(facts: bytes, first_seq: int) -> list[bytes]:
-    """The first block of a segment. `facts`: the shell's own facts, which the shell finds there again."""
-    key = (0, 0)
+def encode_opening(facts: bytes, first_seq: int, key: ItemKey = NO_KEY) -> list[bytes]:
+    """The first block of a segment. `facts`: the shell's own facts, which the shell finds there again. `key`: the
+    greatest key of the items before this segment; NO_KEY: it is not known.
+    """
     head = BlockHead(OPENING, crc32(facts), len(facts), 0, 0, first_seq, first_seq, key, key, 0, 0)
     return [encode_head(head), facts]
 

@@ -154,9 +154,7 @@ def doubts_in(
     if limits is None or not segments:
         return []
     near = {one.number for one in taken}
-    for one in segments:
-        if one.low is not None and one.high is not None and one.low[0] <= reach.high and reach.low <= one.high[0]:
-            near.add(one.number)
+    near.update(one.number for one in segments if reach.meets(one))
     last = reach.border if as_of is None else max(reach.border, as_of + limits.max_future_nanos)
     found = _Search(segments, limits, blocks_of, near, last).find()
     return [one for one in found if one.start <= reach.high and one.end >= reach.low]

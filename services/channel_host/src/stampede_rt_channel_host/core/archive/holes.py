@@ -33,6 +33,11 @@ class WindowReach(NamedTuple):
     high: int
     border: int = LAST_KEY[0]
 
+    def meets(self, segment: Segment) -> bool:
+        """Whether the segment has items at these times, or between two of its items."""
+        low, high = segment.low, segment.high
+        return low is not None and high is not None and low[0] <= self.high and self.low <= high[0]
+
 
 def holes(blocks: SegmentBlocks, taken: Set[int]) -> Iterator[Hole]:
     """The holes next to the blocks that a read took: items that were never archived, or whose block has a damaged head.

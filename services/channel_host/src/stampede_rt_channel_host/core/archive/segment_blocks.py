@@ -12,7 +12,9 @@ from stampede_rt_channel_host.core.archive.block import (
     ADVANCES,
     GAP,
     ITEMS,
+    NO_KEY,
     NOTHING_LOST,
+    OPENING,
     PACKED_HEAD_BYTES,
     BlockHead,
     pack_head,
@@ -178,6 +180,13 @@ class SegmentBlocks(Sequence[PlacedBlock]):
         places = self._columns.places
         first = (self[at].head for at in range(places[0] if places else len(self)))
         return next((one.first_accepted for one in first if _records_loss(one)), None)
+
+    @property
+    def earlier_to(self) -> int | None:
+        """The greatest time of the items that the channel had accepted before this segment; None: it is not known."""
+        opening = self[0].head if len(self) else None
+        is_known = opening is not None and opening.kind == OPENING and opening.high != NO_KEY
+        return opening.high[0] if opening is not None and is_known else None
 
     @property
     def advance_blocks(self) -> Sequence[PlacedBlock]:
