@@ -328,6 +328,24 @@ MUTANTS = (
         noticed_by="takeovers",
     ),
     Mutant(
+        name="a_replica_without_a_lease_counts",
+        file=f"{HOST}/copies/copy_feed.py",
+        edits=(("return not self._owner_facts or self._store.lease_held()", "return True"),),
+        noticed_by="tests/robustness/takeovers/test_simulated_takeovers.py",
+    ),
+    Mutant(
+        name="a_lookup_from_before_a_move_counts",
+        file=f"{HOST}/channels/confirmed_records.py",
+        edits=(("        if before == version():\n", "        if True:\n"),),
+        noticed_by="tests/robustness/moves/test_late_answers.py",
+    ),
+    Mutant(
+        name="a_replica_of_the_former_kind_stays",
+        file=f"{HOST}/copies/replica_keeper.py",
+        edits=(("if one.acknowledged is not self.waits", "if False"),),
+        noticed_by="tests/robustness/takeovers/test_flags_of_replicas.py",
+    ),
+    Mutant(
         name="a_message_is_acknowledged_by_its_host_alone",
         file=f"{HOST}/queues/replica_acks.py",
         edits=(('if replication is None or not ack.HasField("first_seq"):', "if True:"),),

@@ -31,7 +31,7 @@ class Faults:
     def kinds(self) -> list[Fault]:
         """The faults to choose from."""
         faults = [self.kill, self.stop, self.slow, self.cut, self.cut_off, self.change_leader, self.move]
-        return [*faults, self.kill_behind_slow_links, self.kill_alone, self.kill_twice]
+        return [*faults, self.kill_behind_slow_links, self.kill_alone, self.kill_twice, self.lose_two_in_a_move]
 
     def begin(self, fault: Fault, number: int) -> None:
         """Begin a fault at this host. The fault ends by itself, or `disturb` cancels it."""
@@ -96,6 +96,13 @@ class Faults:
         await self.kill(self.owner_number())
         if not self.cluster.hosts[owner].alive:
             self.cluster.start(owner)
+
+    async def lose_two_in_a_move(self, number: int) -> None:
+        """Two hosts die or stop at any steps of a move: the source, the destination, or a host with a replica."""
+        self.begin(self.move, number)
+        for victim in self.rng.sample([*self.cluster.hosts], 2):
+            await asyncio.sleep(self.rng.choice((0.0, 0.05, 0.1, 0.3)) * self.rng.random())
+            self.begin(self.rng.choice((self.kill, self.kill, self.stop)), victim)
 
     async def kill_alone(self, number: int) -> None:
         """The owner reaches only its callers, and then dies."""

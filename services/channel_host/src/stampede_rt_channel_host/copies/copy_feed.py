@@ -132,7 +132,7 @@ class CopyFeed:
 
     def _request(self, opening: pb.FeedOpen | None = None, *, grants: bool = True) -> pb.FeedRequest:
         if not self._may_report():
-            raise Unavailable(f"this host has no lease, so its replica of channel {self._record.name} does not count")
+            raise Unavailable(f"this host has no lease, so its copy of channel {self._record.name} does not count")
         held, granted = self._held(), self._granted if grants else 0
         self._granted -= granted
         self._reported_seq = held.channel.next_seq if self.is_opened and held is not None else 0
