@@ -183,6 +183,9 @@ class ChannelRecording:
             return [await self._lost_gap(found)]
         if not self._is_new or self._from_first or self.tallies:
             return []
+        if (await self._channel.stats()).has_lost_items is False:  # the channel has only moved
+            self._from_first = True
+            return []
         detail = "the channel had another host before the recording could read it; its items may have been lost"
         return [RecordingGap(channel=self.name, incarnation=found.incarnation, reason="LOST", detail=detail)]
 

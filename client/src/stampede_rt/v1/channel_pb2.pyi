@@ -130,7 +130,7 @@ class ChannelCounters(_message.Message):
     def __init__(self, accepted: _Optional[int] = ..., held: _Optional[int] = ..., collected_by_age: _Optional[int] = ..., collected_by_count: _Optional[int] = ..., collected_by_bytes: _Optional[int] = ..., collected_by_consumption: _Optional[int] = ..., rejected_too_old: _Optional[int] = ..., rejected_in_future: _Optional[int] = ..., rejected_too_large: _Optional[int] = ..., rejected_full: _Optional[int] = ..., accepted_bytes: _Optional[int] = ..., held_bytes: _Optional[int] = ..., delivered_bytes: _Optional[int] = ..., rejected_malformed: _Optional[int] = ..., rejected_overloaded: _Optional[int] = ..., not_replicated: _Optional[int] = ...) -> None: ...
 
 class ChannelStatus(_message.Message):
-    __slots__ = ("record", "counters", "newest_unix_nano", "oldest_unix_nano", "frontier_unix_nano", "advance_unix_nano", "subscriptions", "waiting_gets", "waiting_puts", "host_time_unix_nano", "consumers", "copy", "fed_copies", "replicated_next_seq", "dropped", "inherited_next_seq", "multicast", "archive", "next_seq")
+    __slots__ = ("record", "counters", "newest_unix_nano", "oldest_unix_nano", "frontier_unix_nano", "advance_unix_nano", "subscriptions", "waiting_gets", "waiting_puts", "host_time_unix_nano", "consumers", "copy", "fed_copies", "replicated_next_seq", "dropped", "inherited_next_seq", "multicast", "archive", "next_seq", "has_lost_items")
     RECORD_FIELD_NUMBER: _ClassVar[int]
     COUNTERS_FIELD_NUMBER: _ClassVar[int]
     NEWEST_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
@@ -150,6 +150,7 @@ class ChannelStatus(_message.Message):
     MULTICAST_FIELD_NUMBER: _ClassVar[int]
     ARCHIVE_FIELD_NUMBER: _ClassVar[int]
     NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
+    HAS_LOST_ITEMS_FIELD_NUMBER: _ClassVar[int]
     record: ChannelRecord
     counters: ChannelCounters
     newest_unix_nano: int
@@ -169,7 +170,8 @@ class ChannelStatus(_message.Message):
     multicast: MulticastStatus
     archive: ArchiveStatus
     next_seq: int
-    def __init__(self, record: _Optional[_Union[ChannelRecord, _Mapping]] = ..., counters: _Optional[_Union[ChannelCounters, _Mapping]] = ..., newest_unix_nano: _Optional[int] = ..., oldest_unix_nano: _Optional[int] = ..., frontier_unix_nano: _Optional[int] = ..., advance_unix_nano: _Optional[int] = ..., subscriptions: _Optional[int] = ..., waiting_gets: _Optional[int] = ..., waiting_puts: _Optional[int] = ..., host_time_unix_nano: _Optional[int] = ..., consumers: _Optional[_Iterable[_Union[ConsumerStatus, _Mapping]]] = ..., copy: _Optional[_Union[CopyStatus, _Mapping]] = ..., fed_copies: _Optional[_Iterable[_Union[FedCopyStatus, _Mapping]]] = ..., replicated_next_seq: _Optional[int] = ..., dropped: _Optional[int] = ..., inherited_next_seq: _Optional[int] = ..., multicast: _Optional[_Union[MulticastStatus, _Mapping]] = ..., archive: _Optional[_Union[ArchiveStatus, _Mapping]] = ..., next_seq: _Optional[int] = ...) -> None: ...
+    has_lost_items: bool
+    def __init__(self, record: _Optional[_Union[ChannelRecord, _Mapping]] = ..., counters: _Optional[_Union[ChannelCounters, _Mapping]] = ..., newest_unix_nano: _Optional[int] = ..., oldest_unix_nano: _Optional[int] = ..., frontier_unix_nano: _Optional[int] = ..., advance_unix_nano: _Optional[int] = ..., subscriptions: _Optional[int] = ..., waiting_gets: _Optional[int] = ..., waiting_puts: _Optional[int] = ..., host_time_unix_nano: _Optional[int] = ..., consumers: _Optional[_Iterable[_Union[ConsumerStatus, _Mapping]]] = ..., copy: _Optional[_Union[CopyStatus, _Mapping]] = ..., fed_copies: _Optional[_Iterable[_Union[FedCopyStatus, _Mapping]]] = ..., replicated_next_seq: _Optional[int] = ..., dropped: _Optional[int] = ..., inherited_next_seq: _Optional[int] = ..., multicast: _Optional[_Union[MulticastStatus, _Mapping]] = ..., archive: _Optional[_Union[ArchiveStatus, _Mapping]] = ..., next_seq: _Optional[int] = ..., has_lost_items: bool = ...) -> None: ...
 
 class ArchiveStatus(_message.Message):
     __slots__ = ("items", "bytes", "disk_bytes", "oldest_unix_nano", "newest_unix_nano", "waiting", "unarchived", "place", "failure")

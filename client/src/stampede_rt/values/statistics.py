@@ -139,6 +139,7 @@ class ChannelStats:
       at most 8, the latest first. Both are None without the right to read the channel, and in a list of channels.
     - `archive`: the archive of the channel at its host; None if the channel is not recorded.
     - `next_seq`: the seq that the next accepted item gets; None if the host is of an earlier release.
+    - `has_lost_items`: whether items were lost with a former host; None if the host is of an earlier release.
     """
 
     accepted: int
@@ -171,3 +172,4 @@ class ChannelStats:
     writers: Sequence[WriterStats] | None = None
     archive: ArchiveStats | None = None
     next_seq: int | None = None
+    has_lost_items: bool | None = None

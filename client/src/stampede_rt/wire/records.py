@@ -203,6 +203,7 @@ def channel_stats(
         multicast=_multicast_stats(status.multicast) if status.HasField("multicast") else None,
         archive=_archive_stats(status.archive) if status.HasField("archive") else None,
         next_seq=status.next_seq if status.HasField("next_seq") else None,
+        has_lost_items=status.has_lost_items if status.HasField("has_lost_items") else None,
     )
 
 

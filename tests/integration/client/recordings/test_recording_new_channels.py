@@ -13,6 +13,7 @@ from tests.support.files.recordings import read, seqs_of
 from tests.support.waiting import wait_until
 
 cluster = cluster_fixture(hosts=1, supernodes=1, scope="function")
+two_hosts = cluster_fixture(hosts=2, supernodes=1, scope="function")
 
 
 def test_a_channel_that_appears_just_before_the_end_is_recorded_from_its_first_item(
@@ -70,3 +71,21 @@ def test_a_new_channel_whose_host_was_lost_before_the_recording_reads_it_has_a_g
     assert recorder.summary is not None
     gaps = [gap for one in recorder.summary.channels for gap in one.gaps]
     assert [(gap.reason, gap.first_seq) for gap in gaps] == [("LOST", 1 if is_known else None)]
+
+
+def test_a_new_channel_that_has_moved_before_the_recording_reads_it_has_lost_nothing(
+    two_hosts: LocalCluster, tmp_path: Path
+) -> None:
+    """In an earlier version, the file had a LOST gap for it, and no gap for the collected items."""
+    with st.connect(two_hosts.address) as rt:
+        channel = rt.channel("young/data", host="h1", max_items=5)
+        for _ in range(12):
+            channel.put(b"item")
+        rt.move(channel, "h2")
+        [info] = rt.channels("young/*")
+        with rt.record("none", tmp_path / "a.mcap") as recorder:
+            recorder._record("young/*", info, later=True)
+            wait_until(lambda: recorder.recorded == 5)
+    assert recorder.summary is not None
+    gaps = [gap for one in recorder.summary.channels for gap in one.gaps]
+    assert [(gap.reason, gap.first_seq, gap.last_seq) for gap in gaps] == [("COLLECTED", 1, 7)]

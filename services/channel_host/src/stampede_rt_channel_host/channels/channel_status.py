@@ -69,6 +69,7 @@ def _status(hosted: HostedChannel, consumers: Sequence[ConsumerStanding], now: i
         replicated_next_seq=_replicated(hosted),
         inherited_next_seq=channel.losses.inherited_next_seq,
         next_seq=hosted.core.next_seq,
+        has_lost_items=channel.lost_before is not None,
     )
 
 
