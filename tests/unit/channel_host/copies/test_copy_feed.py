@@ -165,7 +165,7 @@ async def test_a_feed_that_is_stopped_in_the_turn_in_which_its_stream_breaks_end
     """Otherwise the keeper would take the error for a broken stream, and would feed a copy that it has stopped."""
     source: Any = SimpleNamespace(host_id=b"s" * 16, target="localhost:1", epoch=1)
     rig, broken = Rig(holds_items=False), BreakingSource()
-    rig.feed._wakeup.set()
+    rig.feed._requests.wake()
     channel: Any = broken
     task = asyncio.create_task(rig.feed.run(source, channel))
     while broken.writes < 2:  # noqa: ASYNC110 - turns of the loop

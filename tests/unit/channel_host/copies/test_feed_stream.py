@@ -324,7 +324,8 @@ async def test_a_replica_leaves_other_parts_to_its_tasks(state: str) -> None:
         if state == "a long part":
             part = part._replace(runs=[part.runs[0]] * (RUNS_PER_TURN + 1))
         elif state == "a request under way":
-            await copied._turn.acquire()
-        copied._wakeup.clear()
+            await copied._requests._turn.acquire()
+        woken = copied._requests._wakeup
+        woken.clear()
         assert copied._take_in_same_turn(call, part) == (state == "a full socket")
-        assert copied._wakeup.is_set() == (state == "a full socket"), "the task that writes sends the answer later"
+        assert woken.is_set() == (state == "a full socket"), "the task that writes sends the answer later"

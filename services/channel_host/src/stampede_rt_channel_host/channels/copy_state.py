@@ -121,11 +121,6 @@ class CopyState:
         await self._wait(lambda: self.is_ready or self.is_replica, seconds_max)
         self.check(name, 0, Freshness())
 
-    async def caught_up_once(self) -> None:
-        """Wait until the copy has had all items of its source."""
-        while not self.caught_up:
-            await self._changed.wait()
-
     async def _wait(self, condition: Callable[[], bool], seconds_max: float) -> None:
         try:
             async with asyncio.timeout(seconds_max):

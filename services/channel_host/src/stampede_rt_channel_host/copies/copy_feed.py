@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -33,6 +32,7 @@ from stampede_rt_channel_host.copies.messages import (
     run_of_item,
 )
 from stampede_rt_channel_host.copies.replica_directory import FeedSource
+from stampede_rt_channel_host.copies.request_writer import RequestWriter
 from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, FedChannel, FedItem, Losses, Run
 from stampede_rt_channel_host.core.records import RecordedChannel
 from stampede_rt_runtime.sockets.dialing import HostStream
@@ -42,7 +42,6 @@ GRANTS = 4  # the copy grants its window in this many parts; each request costs 
 REQUEST_SECONDS = 0.5  # the copy sends a request at least this often, and the source answers it
 REPLICA_REQUEST_SECONDS = 0.2  # a replica that is silent for a second is out of sync
 RUNS_PER_TURN = 64  # the storing of a run takes about 15 us
-Write = Callable[[pb.FeedRequest], Awaitable[None]]
 
 
 class CopyFeed:
@@ -68,10 +67,9 @@ class CopyFeed:
         self._granted = 0
         self._sent_nanos = 0  # the copy's clock in the last request
         self._reported_seq = 0  # the last request has said that this host holds all items before this seq
-        self._wakeup = asyncio.Event()
         self._last_received_s = 0.0  # when the last message of the source came
         self._owes_request = False  # after this message of the source, a request is due immediately
-        self._turn = asyncio.Lock()  # taken while a request is written
+        self._requests = RequestWriter(self._wait_seconds, self._check_source, self._next_request)
         self._may_grant_s = 0.0  # the time at which the copy may grant more, because of `bytes_per_second`
         self.is_opened = False  # whether the source has opened the feed
 
@@ -96,10 +94,12 @@ class CopyFeed:
             # Not earlier: the connection may have taken seconds.
             self._last_received_s = asyncio.get_running_loop().time()
             async with asyncio.TaskGroup() as sides:
-                writing = sides.create_task(self._write_all(call.write))
-                await self._read_all(call, source)
-                async with self._turn:  # gRPC would end a stream in which a write is cancelled
-                    writing.cancel()
+                self._requests.open(call, sides)
+                try:
+                    await self._read_all(call, source)
+                finally:
+                    self._requests.stop()
+                await self._requests.aclose()
         except BaseExceptionGroup as group:
             raise plain_error(first_failure(group), source.target) from group
         except (grpc.RpcError, asyncio.InvalidStateError, TimeoutError) as error:
@@ -154,20 +154,15 @@ class CopyFeed:
             self._sent_nanos = now
         return self._sent_nanos
 
-    async def _write_all(self, write: Write) -> None:
-        """Send the requests that no response of the source causes: after some time, and after a change at this host.
+    def _wait_seconds(self) -> float:
+        """The time until a request is due, although no message of the source causes it."""
+        wait_s = self._may_grant_s - asyncio.get_running_loop().time()
+        return min(self._period_s, wait_s) if wait_s > 0 else self._period_s
 
-        Raises TimeoutError if the source is silent, or takes nothing: this task watches the task that reads, too.
-        """
-        while True:  # until `run_over` cancels this task, or an error ends it
-            wait_s = self._may_grant_s - asyncio.get_running_loop().time()
-            with suppress(TimeoutError):
-                async with asyncio.timeout(min(self._period_s, wait_s) if wait_s > 0 else self._period_s):
-                    await self._wakeup.wait()
-            if asyncio.get_running_loop().time() - self._last_received_s > BROKEN_AFTER_SECONDS:
-                raise TimeoutError
-            async with asyncio.timeout(BROKEN_AFTER_SECONDS), self._turn:
-                await write(self._next_request())
+    def _check_source(self) -> None:
+        """Raises TimeoutError if the source is silent."""
+        if asyncio.get_running_loop().time() - self._last_received_s > BROKEN_AFTER_SECONDS:
+            raise TimeoutError
 
     def _next_request(self, grant_bytes_min: int = 0) -> pb.FeedRequest:
         """The request that is due. It grants at least `grant_bytes_min`, or nothing: a grant is work for the source."""
@@ -175,7 +170,7 @@ class CopyFeed:
         grants = now_s >= self._may_grant_s and self._granted >= grant_bytes_min
         if grants and self._bytes_per_second:
             self._may_grant_s = now_s + self._granted / self._bytes_per_second
-        self._wakeup.clear()
+        self._requests.note_request()
         self._owes_request = False
         return self._request(grants=grants)
 
@@ -187,7 +182,7 @@ class CopyFeed:
             if isinstance(response, FedResponse) and response.fields.move_over:
                 return
             if self._owes_request:
-                await self._answer(call.write)
+                await self._requests.write()  # not the writer's task: puts at the source wait for the request
             if isinstance(call, HostStream):
                 call.answer_in_same_turn(partial(self._take_in_same_turn, call))
         raise Unavailable(f"the source at {source.target} has ended the feed")
@@ -199,7 +194,7 @@ class CopyFeed:
         """
         if isinstance(response, FedItem):
             return self._take_item_in_same_turn(call, response)
-        if response.fields.HasField("opened") or len(response.runs) > RUNS_PER_TURN or self._turn.locked():
+        if response.fields.HasField("opened") or len(response.runs) > RUNS_PER_TURN or self._requests.is_busy:
             return False
         self._last_received_s = asyncio.get_running_loop().time()
         self._follow(response.fields)
@@ -210,11 +205,11 @@ class CopyFeed:
         if self._owes_request and write is not None:
             write(self._next_request())
         elif self._owes_request:
-            self._wakeup.set()
+            self._requests.wake()
         return True
 
     def _take_item_in_same_turn(self, call: Any, fed: FedItem) -> bool:
-        write = None if self._turn.locked() or not self._may_report() else call.write_now
+        write = None if self._requests.is_busy or not self._may_report() else call.write_now
         if write is None or not self._state.caught_up or self._granted >= self._grant_bytes:
             return False
         self._last_received_s = asyncio.get_running_loop().time()
@@ -242,14 +237,6 @@ class CopyFeed:
         request = self._next_request(self._grant_bytes)
         request.held_next_seq = self._reported_seq = next_seq
         write(request)
-
-    async def _answer(self, write: Write) -> None:
-        """Send the request that is due. The task that reads does this itself: puts at the source wait for it."""
-        if self._turn.locked():
-            self._wakeup.set()
-            return
-        async with self._turn:
-            await write(self._next_request())
 
     async def _take(self, response: FedResponse | FedItem) -> None:
         if isinstance(response, FedItem):

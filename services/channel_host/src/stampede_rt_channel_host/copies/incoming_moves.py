@@ -160,7 +160,7 @@ class IncomingMoves:
     async def _take_over(
         self, record: RecordedChannel, source: FeedSource, state: CopyState, feed: MoveFeed, feeding: asyncio.Task[None]
     ) -> MovedChannel:
-        await _unless_ended(feeding, asyncio.ensure_future(state.caught_up_once()))
+        await _unless_ended(feeding, feed.caught_up)
         if not feed.handoff.done():
             await self._prepare_archive(record, state)
             feed.hold()

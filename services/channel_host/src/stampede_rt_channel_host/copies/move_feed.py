@@ -20,7 +20,8 @@ from stampede_rt_channel_host.core.records import RecordedChannel
 class MoveFeed(CopyFeed):
     """The feed of one move, from the owner of a channel to its next owner.
 
-    The future `handoff` is done as soon as this host has all items and facts. From then on `permit` has the owner's
+    The future `caught_up` is done as soon as this host has had all items of the source at some moment. The future
+    `handoff` is done as soon as this host has all items and facts. From then on `permit` has the owner's
     permit, which the directory checks.
     """
 
@@ -33,6 +34,7 @@ class MoveFeed(CopyFeed):
             store, record, state, host_id, target, bytes_per_second, owner_facts=True, window_bytes=window_bytes
         )
         self.handoff: asyncio.Future[Inheritance] = asyncio.get_running_loop().create_future()
+        self.caught_up: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self.permit = b""
         self.held_nanos = 0
         """The time at which the changes of the channel began to wait at the source; 0: this host knows of no wait."""
@@ -65,7 +67,7 @@ class MoveFeed(CopyFeed):
 
     def _report_step(self, **step: Any) -> None:
         self._step |= step
-        self._wakeup.set()
+        self._requests.write_soon()
 
     def _opening(self, source: FeedSource) -> pb.FeedOpen:
         opening = super()._opening(source)
@@ -90,7 +92,11 @@ class MoveFeed(CopyFeed):
         """
         was_caught_up = self._state.caught_up
         super()._note(state, charge_bytes)
-        if self._state.caught_up and not was_caught_up and not self._record.policy.replicas:
+        if not self._state.caught_up or was_caught_up:
+            return
+        if not self.caught_up.done():
+            self.caught_up.set_result(None)
+        if not self._record.policy.replicas:
             self._owes_request = False
 
     async def _take(self, response: FedResponse | FedItem) -> None:
