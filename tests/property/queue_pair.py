@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import migration_service_pb2 as pb
-from stampede_rt_channel_host.copies.queue_messages import ArrivingQueue, parts_of
+from stampede_rt_channel_host.copies.queues.queue_messages import ArrivingQueue, parts_of
 from stampede_rt_channel_host.core.queue import (
     Acknowledge,
     Batch,

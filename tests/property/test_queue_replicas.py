@@ -20,9 +20,9 @@ from hypothesis import strategies as st
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import migration_service_pb2 as pb
-from stampede_rt_channel_host.copies.queue_messages import parts_of
-from stampede_rt_channel_host.copies.queue_puts import encode_put, read_put
-from stampede_rt_channel_host.copies.queue_steps import ArrivingParts, WholeQueue, step_parts, whole_parts
+from stampede_rt_channel_host.copies.queues.queue_messages import parts_of
+from stampede_rt_channel_host.copies.queues.queue_puts import encode_put, read_put
+from stampede_rt_channel_host.copies.queues.queue_steps import ArrivingParts, WholeQueue, step_parts, whole_parts
 from stampede_rt_channel_host.core.channel import Pieces, UnfinishedWork, first_of
 from stampede_rt_channel_host.core.channel.pieces import run_to_end
 from stampede_rt_channel_host.core.dedup import KEPT_NANOS

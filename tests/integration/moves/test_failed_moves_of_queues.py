@@ -11,7 +11,7 @@ import pytest
 
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1 import migration_service_pb2_grpc
-from stampede_rt_channel_host.copies import queue_arrivals, queue_handover
+from stampede_rt_channel_host.copies.queues import queue_arrivals, queue_handover
 from stampede_rt_channel_host.queues import queue_content
 from tests.support.channel_host.queue_rig import OpenedQueue, QueueRig, ack, host_of, queue_directory
 

@@ -7,8 +7,13 @@ from typing import TYPE_CHECKING
 
 from stampede_rt.errors import Unavailable
 from stampede_rt_channel_host.cluster.records import recorded_channel
-from stampede_rt_channel_host.copies.gathered_moves import FallbackRelease, GatheredMoves, MoveCommit, OwnedChannel
-from stampede_rt_channel_host.copies.move_directory import FormerOwnerRole
+from stampede_rt_channel_host.copies.moves.gathered_moves import (
+    FallbackRelease,
+    GatheredMoves,
+    MoveCommit,
+    OwnedChannel,
+)
+from stampede_rt_channel_host.copies.moves.move_directory import FormerOwnerRole
 from stampede_rt_channel_host.copies.replica_directory import FeedSource, ListedReplica, ListedReplicas
 from stampede_rt_channel_host.core.placing import OtherHost
 from stampede_rt_channel_host.core.records import RecordedChannel

@@ -17,11 +17,11 @@ from typing import Any, NamedTuple
 
 from stampede_rt_channel_host.app import main
 from stampede_rt_channel_host.copies.feed_stream import FeedStream
-from stampede_rt_channel_host.copies.move_directory import MoveDirectory
-from stampede_rt_channel_host.copies.move_feed import MoveFeed
-from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMove, OutgoingMoves
-from stampede_rt_channel_host.copies.queue_arrivals import QueueArrivals
-from stampede_rt_channel_host.copies.queue_handover import QueueHandovers
+from stampede_rt_channel_host.copies.moves.move_directory import MoveDirectory
+from stampede_rt_channel_host.copies.moves.move_feed import MoveFeed
+from stampede_rt_channel_host.copies.moves.outgoing_moves import OutgoingMove, OutgoingMoves
+from stampede_rt_channel_host.copies.queues.queue_arrivals import QueueArrivals
+from stampede_rt_channel_host.copies.queues.queue_handover import QueueHandovers
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 
 

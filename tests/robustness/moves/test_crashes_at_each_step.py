@@ -17,14 +17,8 @@ from stampede_rt_channel_host.channels import move_under_way
 from stampede_rt_channel_host.channels.copy_state import CopyState
 from stampede_rt_channel_host.channels.new_channels import NewCopy
 from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
-from stampede_rt_channel_host.copies import (
-    copy_feed,
-    feed_stream,
-    feed_writer,
-    incoming_moves,
-    move_slots,
-    outgoing_moves,
-)
+from stampede_rt_channel_host.copies import copy_feed, feed_stream, feed_writer
+from stampede_rt_channel_host.copies.moves import incoming_moves, move_slots, outgoing_moves
 from stampede_rt_channel_host.core.channel import Losses, run_to_end
 from stampede_rt_channel_host.metrics import catalog
 from stampede_rt_channel_host.metrics.channel_metrics import ChannelMetrics

@@ -17,13 +17,8 @@ from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.channels import move_under_way
 from stampede_rt_channel_host.channels.owned_replicas import ServingPeriod
 from stampede_rt_channel_host.channels.replication import Replication
-from stampede_rt_channel_host.copies import (
-    copy_feed,
-    incoming_moves,
-    keeper,
-    outgoing_moves,
-    replica_keeper,
-)
+from stampede_rt_channel_host.copies import copy_feed, keeper, replica_keeper
+from stampede_rt_channel_host.copies.moves import incoming_moves, outgoing_moves
 from stampede_rt_supernode.core.records import ReplicaKind
 from tests.robustness.moves.links import Link
 from tests.robustness.moves.test_crashes_at_each_step import ITEMS, Scenario

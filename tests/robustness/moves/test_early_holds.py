@@ -8,7 +8,7 @@ import pytest
 
 from stampede_rt.errors import PermissionDenied
 from stampede_rt.v1 import replica_service_pb2 as pb
-from stampede_rt_channel_host.copies import early_holds, handoff_decision
+from stampede_rt_channel_host.copies.moves import early_holds, handoff_decision
 from stampede_rt_channel_host.core.channel import ChannelFeed, FeedPart
 from tests.robustness.moves.links import Link
 from tests.robustness.moves.test_crashes_at_each_step import AFTER_THE_COMMIT, AFTER_THE_REMOVAL, Scenario, quick

@@ -12,7 +12,7 @@ import pytest
 from stampede_rt.errors import StaleBinding, StampedeError
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.channels.channel_changes import ChannelChanges
-from stampede_rt_channel_host.copies.gathered_moves import MoveCommit
+from stampede_rt_channel_host.copies.moves.gathered_moves import MoveCommit
 from stampede_rt_channel_host.core.records import PolicyChange, RecordedChannel
 from tests.robustness.moves.test_crashes_at_each_step import ITEMS, Scenario
 from tests.robustness.moves.two_hosts import Host

@@ -14,7 +14,7 @@ import pytest
 
 from stampede_rt.errors import StampedeError
 from stampede_rt_channel_host.channels import move_under_way
-from stampede_rt_channel_host.copies import outgoing_moves
+from stampede_rt_channel_host.copies.moves import outgoing_moves
 from stampede_rt_channel_host.core.records import RecordedChannel
 from stampede_rt_supernode.core.records import ReplicaKind
 from tests.robustness.moves.simulated_directory import SimulatedDirectory

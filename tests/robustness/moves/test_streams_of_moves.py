@@ -9,7 +9,8 @@ import pytest
 
 from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import replica_service_pb2 as pb
-from stampede_rt_channel_host.copies import incoming_moves, move_streams, replica_servicer
+from stampede_rt_channel_host.copies import replica_servicer
+from stampede_rt_channel_host.copies.moves import incoming_moves, move_streams
 from tests.robustness.moves.links import Link
 from tests.robustness.moves.test_crashes_at_each_step import Scenario, quick
 from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, World

@@ -20,9 +20,9 @@ from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStreams
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.records import recorded_channel
-from stampede_rt_channel_host.copies.incoming_moves import IncomingMoves
 from stampede_rt_channel_host.copies.keeper import CopyKeeper
-from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMoves
+from stampede_rt_channel_host.copies.moves.incoming_moves import IncomingMoves
+from stampede_rt_channel_host.copies.moves.outgoing_moves import OutgoingMoves
 from stampede_rt_channel_host.copies.replica_directory import FeedSource
 from stampede_rt_channel_host.copies.replica_keeper import ReplicaKeeper
 from stampede_rt_channel_host.copies.replica_servicer import ReplicaServicer

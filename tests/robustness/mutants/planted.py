@@ -225,13 +225,13 @@ MUTANTS = (
     ),
     Mutant(
         name="one_outcome_for_all_moves_of_an_entry",
-        file=f"{HOST}/copies/gathered_moves.py",
+        file=f"{HOST}/copies/moves/gathered_moves.py",
         edits=(("committed.get(one.channel_id) or", "committed.get(moves[-1].channel_id) or"),),
         noticed_by="tests/robustness/moves/test_moves_at_the_same_time.py",
     ),
     Mutant(
         name="puts_before_the_fallbacks_of_several_moves_are_released",
-        file=f"{HOST}/copies/incoming_moves.py",
+        file=f"{HOST}/copies/moves/incoming_moves.py",
         edits=(
             (
                 "        await self._remove_fallback(hosted)",
@@ -242,19 +242,19 @@ MUTANTS = (
     ),
     Mutant(
         name="a_refused_move_of_a_drain_counts_as_moved",
-        file=f"{HOST}/copies/drain_requests.py",
+        file=f"{HOST}/copies/moves/drain_requests.py",
         edits=(('            if outcome.HasField("error"):', "            if False:"),),
-        noticed_by="tests/unit/channel_host/copies/test_draining.py",
+        noticed_by="tests/unit/channel_host/copies/moves/test_draining.py",
     ),
     Mutant(
         name="a_broken_stream_is_used_for_the_next_move",
-        file=f"{HOST}/copies/incoming_moves.py",
+        file=f"{HOST}/copies/moves/incoming_moves.py",
         edits=(("            if stream.is_new or feed.is_opened:\n", "            if True:\n"),),
         noticed_by="tests/robustness/moves/test_streams_of_moves.py",
     ),
     Mutant(
         name="an_idle_channel_is_handed_over_and_not_held",
-        file=f"{HOST}/copies/handoff_decision.py",
+        file=f"{HOST}/copies/moves/handoff_decision.py",
         edits=(
             ("            self._move.hold()\n", "            pass\n"),
             ("if not self._move.is_held or not self._is_fully_replicated():", "if not self._is_fully_replicated():"),
@@ -263,13 +263,13 @@ MUTANTS = (
     ),
     Mutant(
         name="a_broken_stream_of_a_drain_is_the_last_one",
-        file=f"{HOST}/copies/drain_requests.py",
+        file=f"{HOST}/copies/moves/drain_requests.py",
         edits=(("            self._stream = None\n            writing", "            writing"),),
         noticed_by="drains",
     ),
     Mutant(
         name="a_host_answers_a_drain_once_for_each_channel",
-        file=f"{HOST}/copies/moves_of_drains.py",
+        file=f"{HOST}/copies/moves/moves_of_drains.py",
         edits=(("        self._under_way.discard(channel_id)\n", ""),),
         noticed_by="drains",
     ),
@@ -281,7 +281,7 @@ MUTANTS = (
     ),
     Mutant(
         name="nobody_allows_a_move",
-        file=f"{HOST}/copies/allowed_moves.py",
+        file=f"{HOST}/copies/moves/allowed_moves.py",
         edits=(("if until_s is None or until_s < self._clock_s():", "if until_s is not None and until_s < 0:"),),
         noticed_by="tests/robustness/moves/test_hostile_hosts.py",
     ),
@@ -411,9 +411,9 @@ MUTANTS = (
     ),
     Mutant(
         name="a_diverged_replica_of_a_queue_continues",
-        file=f"{HOST}/copies/queue_feed.py",
+        file=f"{HOST}/copies/queues/queue_feed.py",
         edits=(("if self._host_id in replication.diverged_host_ids:", "if False:"),),
-        noticed_by="tests/unit/channel_host/copies/test_queue_feed_ahead.py",
+        noticed_by="tests/unit/channel_host/copies/queues/test_queue_feed_ahead.py",
     ),
     Mutant(
         name="a_put_goes_ahead_although_it_is_delivered_in_the_same_step",
@@ -429,17 +429,17 @@ MUTANTS = (
     ),
     Mutant(
         name="a_copy_continues_with_steps_that_its_owner_lacks",
-        file=f"{HOST}/copies/queue_feed.py",
+        file=f"{HOST}/copies/queues/queue_feed.py",
         edits=(("if place.owner_epoch < since and is_beyond:", "if False:"),),
-        noticed_by="tests/unit/channel_host/copies/test_queue_feed.py",
+        noticed_by="tests/unit/channel_host/copies/queues/test_queue_feed.py",
     ),
     Mutant(
         name="steps_of_another_incarnation",
-        file=f"{HOST}/copies/queue_feed.py",
+        file=f"{HOST}/copies/queues/queue_feed.py",
         edits=(
             ("if not place.next_step or place.incarnation != hosted.queue.incarnation:", "if not place.next_step:"),
         ),
-        noticed_by="tests/unit/channel_host/copies/test_queue_feed.py",
+        noticed_by="tests/unit/channel_host/copies/queues/test_queue_feed.py",
     ),
     Mutant(
         name="an_inherited_queue_counts_as_replicated",

@@ -11,9 +11,9 @@ from typing import Any
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.channels.streams import OpenStreams
-from stampede_rt_channel_host.copies.drain_requests import METHOD
-from stampede_rt_channel_host.copies.draining import DrainResult, HostDrain
-from stampede_rt_channel_host.copies.migration_servicer import MigrationServicer
+from stampede_rt_channel_host.copies.moves.drain_requests import METHOD
+from stampede_rt_channel_host.copies.moves.draining import DrainResult, HostDrain
+from stampede_rt_channel_host.copies.moves.migration_servicer import MigrationServicer
 from stampede_rt_supernode.core.commands import Operation
 from stampede_rt_supernode.core.hosts.commands import ExpireHost, RegisterHost
 from stampede_rt_supernode.core.replicas.copied_subjects import Copied

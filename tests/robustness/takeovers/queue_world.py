@@ -16,10 +16,10 @@ from stampede_rt.v1 import migration_service_pb2
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.channels.streams import OpenStreams
 from stampede_rt_channel_host.cluster.records import recorded_queue
-from stampede_rt_channel_host.copies.queue_arrivals import QueueArrivals
-from stampede_rt_channel_host.copies.queue_feed_servicer import QueueFeeds
-from stampede_rt_channel_host.copies.queue_handover import QueueHandovers
-from stampede_rt_channel_host.copies.queue_replica_keeper import QueueReplicaKeeper
+from stampede_rt_channel_host.copies.queues.queue_arrivals import QueueArrivals
+from stampede_rt_channel_host.copies.queues.queue_feed_servicer import QueueFeeds
+from stampede_rt_channel_host.copies.queues.queue_handover import QueueHandovers
+from stampede_rt_channel_host.copies.queues.queue_replica_keeper import QueueReplicaKeeper
 from stampede_rt_channel_host.copies.replica_directory import FeedSource, ListedReplica, ListedReplicas
 from stampede_rt_channel_host.core.records import RecordedQueue, ResolvedQueue
 from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChange

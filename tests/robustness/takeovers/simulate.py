@@ -13,7 +13,7 @@ from typing import NamedTuple
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.channels.copy_state import CopyState
 from stampede_rt_channel_host.channels.replication import Replication
-from stampede_rt_channel_host.copies.allowed_moves import AllowedMoves
+from stampede_rt_channel_host.copies.moves.allowed_moves import AllowedMoves
 from tests.robustness.takeovers.channel_callers import ChannelCallers, Item
 from tests.robustness.takeovers.faults import Faults
 from tests.robustness.takeovers.world import Cluster

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.channels.copy_state import CopyState
-from stampede_rt_channel_host.copies.allowed_moves import AllowedMoves
+from stampede_rt_channel_host.copies.moves.allowed_moves import AllowedMoves
 from tests.robustness.moves.links import Link
 from tests.robustness.takeovers.channel_callers import ChannelCallers
 from tests.robustness.takeovers.drain_world import DrainCluster

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 from stampede_rt.errors import StampedeError
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
-from stampede_rt_channel_host.copies.allowed_moves import AllowedMoves
+from stampede_rt_channel_host.copies.moves.allowed_moves import AllowedMoves
 from stampede_rt_channel_host.queues.queue_replication import QueueReplication
 from tests.robustness.takeovers.faults import Faults
 from tests.robustness.takeovers.queue_callers import BREAKS, Taker, put

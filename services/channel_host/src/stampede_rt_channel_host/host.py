@@ -35,17 +35,17 @@ from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
 from stampede_rt_channel_host.cluster.records import recorded_channel, recorded_queue
 from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX, Registration
 from stampede_rt_channel_host.cluster.supernodes import Explain, Supernodes
-from stampede_rt_channel_host.copies.draining import HostDrain
 from stampede_rt_channel_host.copies.feed_callers import FeedCallers
-from stampede_rt_channel_host.copies.incoming_moves import IncomingMoves
 from stampede_rt_channel_host.copies.keeper import CopyKeeper
-from stampede_rt_channel_host.copies.migration_servicer import MigrationServicer
-from stampede_rt_channel_host.copies.move_directory import MoveDirectory
-from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMoves
-from stampede_rt_channel_host.copies.queue_arrivals import QueueArrivals
-from stampede_rt_channel_host.copies.queue_feed_servicer import QueueFeeds
-from stampede_rt_channel_host.copies.queue_handover import QueueHandovers
-from stampede_rt_channel_host.copies.queue_replica_keeper import QueueReplicaKeeper
+from stampede_rt_channel_host.copies.moves.draining import HostDrain
+from stampede_rt_channel_host.copies.moves.incoming_moves import IncomingMoves
+from stampede_rt_channel_host.copies.moves.migration_servicer import MigrationServicer
+from stampede_rt_channel_host.copies.moves.move_directory import MoveDirectory
+from stampede_rt_channel_host.copies.moves.outgoing_moves import OutgoingMoves
+from stampede_rt_channel_host.copies.queues.queue_arrivals import QueueArrivals
+from stampede_rt_channel_host.copies.queues.queue_feed_servicer import QueueFeeds
+from stampede_rt_channel_host.copies.queues.queue_handover import QueueHandovers
+from stampede_rt_channel_host.copies.queues.queue_replica_keeper import QueueReplicaKeeper
 from stampede_rt_channel_host.copies.replica_directory import ReplicaDirectory
 from stampede_rt_channel_host.copies.replica_keeper import ReplicaKeeper
 from stampede_rt_channel_host.copies.replica_servicer import ReplicaServicer

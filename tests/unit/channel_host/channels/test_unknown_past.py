@@ -15,7 +15,7 @@ from stampede_rt.values.seq_starts import start_of
 from stampede_rt.values.timeline import NEWEST, NOW, OLDEST, Bound, Interval, Match
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.recordings import Recordings
-from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMoves
+from stampede_rt_channel_host.copies.moves.outgoing_moves import OutgoingMoves
 from stampede_rt_channel_host.core.channel import Offer, Query
 from stampede_rt_channel_host.core.group import Horizon
 from tests.support.channel_host.object_stores import FakeStore

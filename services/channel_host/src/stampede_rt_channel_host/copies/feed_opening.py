@@ -8,7 +8,7 @@ from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import ID_BYTES
-from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMoves
+from stampede_rt_channel_host.copies.moves.outgoing_moves import OutgoingMoves
 
 FEEDS_MAX = 64  # the most feeds of one channel; the directory allows 16 copies, and broken streams may linger
 

@@ -28,9 +28,9 @@ from stampede_rt_channel_host.copies.fed_items import encode_item, read_answer
 from stampede_rt_channel_host.copies.feed_opening import check_feeds, fed_channel, has_others_items
 from stampede_rt_channel_host.copies.feed_responses import FeedResponses
 from stampede_rt_channel_host.copies.feed_writer import FeedWriter
-from stampede_rt_channel_host.copies.handoff_decision import HandoffDecision
 from stampede_rt_channel_host.copies.messages import opened_to, place_of
-from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMove, OutgoingMoves
+from stampede_rt_channel_host.copies.moves.handoff_decision import HandoffDecision
+from stampede_rt_channel_host.copies.moves.outgoing_moves import OutgoingMove, OutgoingMoves
 from stampede_rt_channel_host.core.channel import ChannelCore, ChannelFeed, FeedPart, LagWatch, NewItem
 from stampede_rt_channel_host.core.group import CutFloor
 from stampede_rt_runtime.rpc import Context, answer_in_same_turn

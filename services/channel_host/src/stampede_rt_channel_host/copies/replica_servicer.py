@@ -17,7 +17,7 @@ from stampede_rt_channel_host.channels.subscriptions.credit import requests_of
 from stampede_rt_channel_host.copies.feed_callers import FeedCallers
 from stampede_rt_channel_host.copies.feed_opening import check_named_host
 from stampede_rt_channel_host.copies.feed_stream import FeedStream
-from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMoves
+from stampede_rt_channel_host.copies.moves.outgoing_moves import OutgoingMoves
 from stampede_rt_channel_host.core.group import CutFloor
 from stampede_rt_runtime.rpc import Context
 

@@ -1,0 +1,1 @@
+"""Moves of channels to other hosts, and drains of hosts."""

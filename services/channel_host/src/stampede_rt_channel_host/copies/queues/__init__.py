@@ -1,0 +1,1 @@
+"""Replicas and moves of queues."""

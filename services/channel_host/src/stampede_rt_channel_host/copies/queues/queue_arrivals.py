@@ -1,0 +1,185 @@
+"""Moves queues and mailboxes to this host, which becomes their owner (paper, section 3.5: queues migrate)."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import secrets
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from typing import Any, NamedTuple
+
+import grpc
+
+from stampede_rt.errors import Unavailable
+from stampede_rt.status import from_rpc_error
+from stampede_rt.v1 import migration_service_pb2 as pb
+from stampede_rt.v1 import migration_service_pb2_grpc
+from stampede_rt_channel_host.channels import refusals
+from stampede_rt_channel_host.channels.limits.memory import Charge
+from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.copies.moves.incoming_moves import until_known
+from stampede_rt_channel_host.copies.moves.move_directory import MoveDirectory
+from stampede_rt_channel_host.copies.moves.move_slots import MoveSlots
+from stampede_rt_channel_host.copies.queues.queue_messages import ArrivingQueue
+from stampede_rt_channel_host.core.channel.pieces import run_to_end
+from stampede_rt_channel_host.core.queue import QueueCore, QueueLimits
+from stampede_rt_channel_host.core.queue.handoff import freeing
+from stampede_rt_channel_host.core.records import RecordedQueue
+from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
+from stampede_rt_channel_host.queues.queue_content import QueueContent
+from stampede_rt_channel_host.queues.queue_store import QueueStore
+from stampede_rt_channel_host.queues.refusals import display_name, moved
+
+logger = logging.getLogger(__name__)
+
+HANDOVER_SECONDS_MAX = 4.5  # shorter than the wait of the former owner
+
+
+class MovedQueue(NamedTuple):
+    """A queue that has moved here. `blackout_nanos`: the time for which its calls waited; 0: it was here already."""
+
+    hosted: HostedQueue
+    blackout_nanos: int
+
+
+class QueueArrivals:
+    """The moves of queues to one host, on its event loop. `dial` opens connections to other hosts."""
+
+    def __init__(
+        self, identity: HostIdentity, queues: QueueStore, directory: MoveDirectory,
+        dial: Callable[[str], grpc.aio.Channel],
+    ) -> None:  # fmt: skip
+        self._identity = identity
+        self._queues = queues
+        self._directory = directory
+        self._dial = dial
+        self._moves: dict[bytes, asyncio.Task[MovedQueue]] = {}  # by queue
+        self._slots = MoveSlots(f"to host {identity.name}", of_queues=True)
+        self._is_closing = False
+
+    async def move_here(self, record: RecordedQueue, target: str | None) -> MovedQueue:
+        """Make this host the owner of a queue, which is at `target`. Joins a move of this queue that is under way.
+
+        The move continues if the caller is cancelled. Raises the errors of MigrationService.MoveHere.
+        """
+        known = self._queues.known(record.queue_id)
+        is_here = known is not None and known.record.epoch > record.epoch  # since the directory has given `record`
+        if is_here or record.host_id == self._identity.host_id:
+            return MovedQueue(await self._queues.use(record.queue_id, None if is_here else record.epoch), 0)
+        move = self._moves.get(record.queue_id) or self._begin_move(record, target)
+        return await asyncio.shield(move)
+
+    def _begin_move(self, record: RecordedQueue, target: str | None) -> asyncio.Task[MovedQueue]:
+        if self._is_closing:
+            raise refusals.SHUTTING_DOWN
+        if target is None:
+            raise Unavailable(f"the host of queue {display_name(record)} is lost, and so are its messages; open it")
+        self._slots.take(record)
+        move = asyncio.create_task(self._move(record, target), name=f"move of {display_name(record)}")
+        self._moves[record.queue_id] = move
+        move.add_done_callback(lambda done: self._over(record, done))
+        return move
+
+    def close(self) -> None:
+        """Begin no further moves, because the host stops."""
+        self._is_closing = True
+
+    async def aclose(self) -> None:
+        """End all moves."""
+        for task in [*self._moves.values()]:
+            task.cancel()
+        await asyncio.gather(*self._moves.values(), return_exceptions=True)
+
+    def _over(self, record: RecordedQueue, done: asyncio.Task[MovedQueue]) -> None:
+        del self._moves[record.queue_id]
+        self._slots.give_back(record)
+        self._queues.give_up(record.queue_id)
+        if not done.cancelled() and (failure := done.exception()) is not None:
+            logger.info("a move of a queue has failed", extra={"event": "move_failed", "why": str(failure)})
+
+    async def _move(self, record: RecordedQueue, target: str) -> MovedQueue:
+        self._queues.forget(record.queue_id, moved(record))  # this host may have owned the queue before
+        began = time.monotonic_ns()
+        channel = self._dial(target)
+        call = migration_service_pb2_grpc.MigrationServiceStub(channel).HandOverQueue()
+        room = self._queues.memory.charge_for(record.created_by)
+        try:
+            async with asyncio.timeout(HANDOVER_SECONDS_MAX):
+                opening = pb.HandOverQueueOpen(
+                    queue_id=record.queue_id, epoch=record.epoch, host_id=self._identity.host_id
+                )
+                await call.write(pb.HandOverQueueRequest(open=opening))
+                arriving = await self._received(call, room)
+                core = await asyncio.to_thread(self._restored, record, arriving)
+            room.set(0)
+            journal = core.journal(arriving.next_step) if arriving.next_step else None
+            adopted = await self._take_over(record, QueueContent(core, journal), arriving.permit)
+            await _report_commit(call, adopted.epoch)
+        except grpc.RpcError as error:
+            raise from_rpc_error(error, target) from error
+        except asyncio.InvalidStateError:  # grpc raises this for a write after the end of the call
+            raise Unavailable(f"{target} has ended the move of queue {display_name(record)}; move it again") from None
+        except TimeoutError:
+            raise Unavailable(
+                f"{target} did not hand queue {display_name(record)} over in time; move it again"
+            ) from None
+        finally:
+            room.set(0)
+            call.cancel()
+            await channel.close(None)
+        logger.info("a queue has moved here", extra={"event": "queue_moved_here", "queue": display_name(record)})
+        return MovedQueue(await self._queues.use(adopted.queue_id, adopted.epoch), time.monotonic_ns() - began)
+
+    async def _received(self, call: Any, room: Charge) -> ArrivingQueue:
+        """All parts of the queue. Raises Overloaded if there is no room for them, and Unavailable if the stream ends
+        early.
+        """
+        arriving = ArrivingQueue()
+        while not arriving.is_whole:
+            part = await call.read()
+            if not isinstance(part, pb.HandOverQueueResponse):
+                raise Unavailable("the former owner of the queue has ended the move; move it again")
+            room.claim(part.ByteSize())
+            arriving.add(part)
+            room.set(arriving.size_bytes)
+        return arriving
+
+    def _restored(self, record: RecordedQueue, arriving: ArrivingQueue) -> QueueCore:
+        """The queue. A thread does this work, because it takes some microseconds for each message."""
+        state = arriving.state()
+        core = QueueCore.restore(
+            QueueLimits.of(record.policy),
+            state,
+            self._queues.now(),
+            incarnation=record.incarnation,
+            name=display_name(record),
+            may_serve=self._queues.may_serve,
+        )
+        run_to_end(freeing(state))  # in one step the interpreter would run no other thread meanwhile
+        return core
+
+    async def _take_over(self, record: RecordedQueue, content: QueueContent, permit: bytes) -> RecordedQueue:
+        """Become the owner. A caller that asks for the queue right after the commit gets it with its messages."""
+        self._queues.check_room(record)
+        self._queues.expect(record, content)
+        request_id = secrets.token_bytes(16)
+        commit = partial(self._directory.commit_queue, record.queue_id, record.epoch, request_id, permit)
+        registrations = self._queues.registrations
+        adopted = await until_known(commit)
+        if registrations == self._queues.registrations:
+            self._queues.adopt(adopted)
+        else:  # the lease had ended, and the queue may have another owner by now
+            await self._queues.use(adopted.queue_id, adopted.epoch)
+        return adopted
+
+
+async def _report_commit(call: Any, epoch: int) -> None:
+    """Tell the former owner that this host owns the queue. If the former owner has gone, it learns this from the
+    directory.
+    """
+    with suppress(grpc.RpcError, asyncio.InvalidStateError):
+        await call.write(pb.HandOverQueueRequest(committed_epoch=epoch))
+        await call.done_writing()
