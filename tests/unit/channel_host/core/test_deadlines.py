@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
-from stampede_rt_channel_host.core.deadlines import Deadlines
+from stampede_rt_channel_host.core.deadlines import OUTDATED_PER_CALL_MAX, Deadlines
 
 
 @dataclass(eq=False)
@@ -72,3 +73,18 @@ def test_no_call_looks_at_all_deadlines_though_nearly_all_of_them_are_outdated()
         assert WatchedEntry.reads < 50
     assert len(deadlines._heap) + len(deadlines._old) < 200
     assert [deadlines.pop(10**8) for _ in range(3)] == [things[0], things[-1], None]
+
+
+def test_a_call_removes_a_bounded_number_of_outdated_entries_and_misses_no_deadline() -> None:
+    deadlines, things, last = Deadlines[Thing](), [Thing(order) for order in range(1500)], Thing(2000)
+    for thing in things:
+        deadlines.arm(thing, 5)
+    deadlines.arm(last, 7)
+    for thing in things:
+        deadlines.disarm(thing)
+    lengths = [len(deadlines._heap)]
+    while (due := deadlines.pop(9)) is None:
+        lengths.append(len(deadlines._heap))
+        assert (deadlines.next() or 9) <= 7
+    assert due is last
+    assert max(before - after for before, after in pairwise(lengths)) <= 2 * OUTDATED_PER_CALL_MAX

@@ -25,6 +25,7 @@ T = TypeVar("T", bound=DeadlineEntry)
 
 
 Entry = tuple[int, int, T]  # the deadline, `order`, and the thing
+OUTDATED_PER_CALL_MAX = 512
 _MOVED_PER_ARM = 4  # the entries of the old heap that one `arm` looks at
 
 
@@ -60,25 +61,31 @@ class Deadlines(Generic[T]):
 
     def pop(self, now: int) -> T | None:
         """Remove and return the thing with the earliest deadline. Returns None if this deadline is after `now`, or if
-        no thing has a deadline.
+        no thing has a deadline. Also returns None while there are very many changed deadlines; `next` is not after
+        `now` then.
         """
         first = self._first()
-        if not first or first[0][0] > now:
+        if not first or first[0][0] > now or first[0][2].due != first[0][0]:
             return None
         thing = heapq.heappop(first)[2]
         self.disarm(thing)
         return thing
 
     def next(self) -> int | None:
-        """The earliest deadline, or None if no thing has one."""
+        """The earliest deadline, or None if no thing has one. If very many deadlines were changed, an earlier time."""
         first = self._first()
         return first[0][0] if first else None
 
     def _first(self) -> list[Entry[T]]:
-        """The heap whose top is the earliest deadline. The returned heap is empty if no thing has a deadline."""
+        """The heap whose top is the earliest deadline. The returned heap is empty if no thing has a deadline.
+
+        If there are too many outdated entries for one call, the top is one of them.
+        """
+        left = OUTDATED_PER_CALL_MAX
         for heap in (self._heap, self._old):
-            while heap and heap[0][2].due != heap[0][0]:
+            while left and heap and heap[0][2].due != heap[0][0]:
                 heapq.heappop(heap)
+                left -= 1
         if not self._heap or not self._old:
             return self._heap or self._old
         return self._heap if self._heap[0][:2] <= self._old[0][:2] else self._old

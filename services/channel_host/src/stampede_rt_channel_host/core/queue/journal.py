@@ -35,7 +35,7 @@ from stampede_rt_channel_host.core.queue.queue_snapshot import QueueSnapshot
 
 JOURNAL_BYTES_MAX = 64 * 2**20
 """The most bytes of the steps that a queue keeps for its replicas. A replica that lacks older steps begins anew."""
-FORGOTTEN_PER_CALL_MAX = 512
+FORGOTTEN_BYTES_PER_CALL = 2**18  # a step of this size has 800 messages with a lease
 _STEP_BYTES, _ENTRY_BYTES = 600, 200  # about the memory of a step, and of each entry in it
 
 
@@ -306,6 +306,6 @@ class QueueJournal:
         """Forget the steps before `next_step`, because every replica has them. If there are many, later calls
         forget the others.
         """
-        first = self.next_step - len(self._steps)
-        for _ in range(min(next_step - first, FORGOTTEN_PER_CALL_MAX)):
+        least_bytes = self.size_bytes - FORGOTTEN_BYTES_PER_CALL
+        while self._steps and self._steps[0][0].number < next_step and self.size_bytes > least_bytes:
             self.size_bytes -= self._steps.popleft()[1]
