@@ -116,3 +116,19 @@ async def test_a_host_that_registers_again_and_again_gives_up_the_lookup() -> No
         request.result().set_result(record(ME, 1))
     with pytest.raises(StaleBinding, match="resolve it again"):
         await binding
+
+
+async def test_a_host_that_registers_while_it_opens_an_archive_does_not_serve_the_channel() -> None:
+    """The lease ended, and another host got the channel. In an earlier version, the host served the former epoch."""
+    directory = SlowDirectory()
+    store = store_over(directory)
+
+    async def opened_slowly(*_: Any) -> None:
+        run_to_end(store.registering([], is_complete=True))
+
+    store.recordings.prepare = opened_slowly  # type: ignore[method-assign]
+    binding = asyncio.create_task(store.bind(CHANNEL, 1))
+    (await directory.requests.get()).set_result(record(ME, 1))
+    with pytest.raises(StaleBinding, match="changed while its archive was opened"):
+        await binding
+    assert store.known(CHANNEL) is None

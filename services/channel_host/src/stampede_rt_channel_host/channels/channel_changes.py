@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from functools import partial
 
 from stampede_rt.errors import ChannelNotFound
 from stampede_rt_channel_host.channels import refusals
@@ -56,12 +57,12 @@ class ChannelChanges:
         """
         hosted = await self._owned(channel_id, epoch, AccessVerb.CONFIGURE)
         self._store.recordings.check_change(hosted.record, change.stated)  # before the directory takes it
-        registrations = self._store.registrations
+        version = partial(self._store.version_of, channel_id)
+        before = version()
         record = await self._directory.update(channel_id, epoch, change, request_id=request_id, since_s=since_s)
-        is_same = registrations == self._store.registrations and self._store.serves(hosted)
-        if not is_same or hosted.epoch != epoch:  # the answer may be older than the channel's present owner
+        if before != version():  # the answer may be older than the channel's present owner
             return await self._store.bind(channel_id, record.epoch, record.spec_version)
-        changed = await self._store.recordings.adopt(record, hosted, self._store.adopt)
+        changed = await self._store.recordings.adopt(record, hosted, self._store.adopt, version)
         check_policy(changed, record.spec_version)
         return changed
 

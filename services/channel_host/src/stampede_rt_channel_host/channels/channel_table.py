@@ -26,6 +26,8 @@ class ChannelTable(Mapping[bytes, HostedChannel]):
 
     def __init__(self, host_name: str) -> None:
         self._host_name = host_name
+        self.registrations = 0
+        """The number of the host's registrations whose answers have come."""
         self._by_id: dict[bytes, HostedChannel] = {}
         self._names: Any = SortedList()  # the name of each channel, with the channel's id
         self._shares = CreationShares(host_name, "channels", CHANNELS_MAX)
@@ -45,10 +47,12 @@ class ChannelTable(Mapping[bytes, HostedChannel]):
             raise Overloaded(f"host {self._host_name} has {CHANNELS_MAX} channels, the limit; use another host")
         self._shares.check(created_by)
 
-    def version_of(self, channel_id: bytes) -> tuple[HostedChannel | None, int]:
-        """Changes when the host gets, drops or replaces the channel, or learns of another epoch."""
+    def version_of(self, channel_id: bytes) -> object:
+        """Changes with each registration, and when the host gets, drops or replaces the channel, or learns of another
+        epoch.
+        """
         hosted = self._by_id.get(channel_id)
-        return hosted, 0 if hosted is None else hosted.epoch
+        return self.registrations, hosted, 0 if hosted is None else hosted.epoch
 
     def add(self, hosted: HostedChannel) -> None:
         """Add a channel."""

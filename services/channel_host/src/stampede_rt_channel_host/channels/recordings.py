@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
-from stampede_rt.errors import InvalidArgument
+from stampede_rt.errors import InvalidArgument, error_for
 from stampede_rt.values.model import Policy
 from stampede_rt.values.seq_starts import given_between, has_start
 from stampede_rt.wire.run_slices import slice_run
@@ -95,9 +95,18 @@ class Recordings:
         record: RecordedChannel,
         hosted: HostedChannel | None,
         adopt: Callable[[RecordedChannel], HostedChannel],
+        version: Callable[[], object] = lambda: None,
     ) -> HostedChannel:
-        """Serve a channel as `record` says, and record it if its policy says so. Raises the errors of `prepare`."""
+        """Serve a channel as `record` says, and record it if its policy says so. Raises the errors of `prepare`.
+
+        Raises StaleBinding (NOT_HERE) if `version()` changes while the host looks at the archive: the lease may have
+        ended meanwhile, and the channel may have another owner. See `confirmed_record`.
+        """
+        before = version()
         await self.prepare(record, hosted)
+        if before != version():
+            self.give_up(record.channel_id)
+            raise error_for("NOT_HERE", f"channel {record.name} changed while its archive was opened; resolve it again")
         return self.attach(adopt(record))
 
     def check(self, name: str, *, is_recorded: bool) -> None:

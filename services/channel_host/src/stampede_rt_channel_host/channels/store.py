@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable
+from functools import partial
 
 from stampede_rt.errors import ChannelNotFound, StampedeError
 from stampede_rt_channel_host.channels import hosted_copies, refusals
@@ -72,8 +73,8 @@ class ChannelStore:
         self._channels = ChannelTable(identity.name)
         self._single_flight = SingleFlight()
         self._closing: StampedeError | None = None  # the error for all requests as soon as the host shuts down
-        self.registrations = 0
-        """The number of registrations whose answers have come."""
+        self.version_of = self._channels.version_of
+        """See `ChannelTable`."""
         self.memory = memory
         self.copies = HostedCopies(self._channels, self._add, self.forget)
         self.refused_calls = refused_calls or RefusedCalls()
@@ -176,11 +177,11 @@ class ChannelStore:
         answer does not name all channels of the host. The store then serves an unnamed channel again only after its
         next `bind`.
         """
-        self.registrations += 1
+        self._channels.registrations += 1
         yield from comparing(
             self._channels,
             records,
-            self.registrations,
+            self._channels.registrations,
             lambda hosted, record: self._compare(hosted, record, is_complete=is_complete),
             self.scheduler.begin,
         )
@@ -256,12 +257,9 @@ class ChannelStore:
 
     async def _ask(self, channel_id: bytes) -> None:
         self._check_lease()
+        version = partial(self.version_of, channel_id)
         try:
-            record = await confirmed_record(
-                self._directory.resolve,
-                channel_id,
-                lambda: (self.registrations, *self._channels.version_of(channel_id)),
-            )
+            record = await confirmed_record(self._directory.resolve, channel_id, version)
         except ChannelNotFound:
             if (held := self._channels.get(channel_id)) is not None:
                 self.forget(channel_id, refusals.deleted(held.record.name))
@@ -275,7 +273,7 @@ class ChannelStore:
         if record.host_id != self._identity.host_id:
             self.forget(channel_id, error := refusals.moved(record.name, record.host_id))
             raise error
-        await self.recordings.adopt(record, held, self.adopt)
+        await self.recordings.adopt(record, held, self.adopt, version)
 
     def adopt(self, record: RecordedChannel) -> HostedChannel:
         """Serve the channel according to a record of the directory. Ignores a record older than the present one."""
@@ -291,7 +289,7 @@ class ChannelStore:
             if hosted_copies.changes_kind(held, record):
                 error = refusals.not_here(self._identity.name, record.channel_id)
                 return self._continue(held, record, hosted_copies.continued_core(held), error)
-            held.registration = self.registrations
+            held.registration = self._channels.registrations
             held.update(record)
             return held
         if held is not None:
@@ -330,7 +328,7 @@ class ChannelStore:
             self.deliveries,
             initial,
         )
-        hosted.registration = self.registrations
+        hosted.registration = self._channels.registrations
         self._channels.add(hosted)
         if hosted.replication is not None:
             self.on_replicated(hosted)
