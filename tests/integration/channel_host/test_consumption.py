@@ -123,4 +123,4 @@ async def test_old_items_are_kept_for_a_consumer_that_lags(rig: Rig) -> None:
     assert (await channel.status()).counters.held == 1
     await consume(channel, BOB)
     await consume(channel, ANN, 3)
-    assert (await channel.get()).payloads == [b"2"], "the newest stays"
+    assert (await channel.get()).payloads == [b"2"], "the newest item stays"

@@ -50,7 +50,7 @@ def answers(channel: st.Channel, began: int, as_of: int | None) -> list[object]:
     return [*found, payloads(page), page.more, payloads(channel.get(st.OLDEST, st.NEWEST, after=page[-1], as_of=as_of))]
 
 
-def test_a_read_as_of_an_instant_answers_as_it_did_then(rt: st.Connection) -> None:
+def test_a_read_as_of_an_instant_gets_the_answer_that_the_host_gave_at_that_instant(rt: st.Connection) -> None:
     channel, began = rt.channel("past/live", max_age="60s", archive="7d"), time.time_ns() - SECOND
     live: list[tuple[int, list[object]]] = []
     for number in range(10):

@@ -16,7 +16,7 @@ from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import LEASE_NANOS, ChannelLimits
 from tests.property.paths.path_and_oracle import OWN_CONSUMER
 from tests.property.paths.puts import PathPuts
-from tests.property.paths.values import merge, stated
+from tests.property.paths.values import merge, policy_arguments
 
 
 class PathPair(PathPuts):
@@ -48,7 +48,7 @@ class PathPair(PathPuts):
         Fields that `change` leaves out stay. An impossible policy is refused, and changes nothing.
         """
         merged = merge(self.policy, change)
-        outcome = self.outcome(lambda: self.channel.configure(**stated(change)))
+        outcome = self.outcome(lambda: self.channel.configure(**policy_arguments(change)))
         if not _can_hold(merged):
             assert isinstance(outcome, InvalidArgument), outcome
             self.settle()

@@ -13,7 +13,7 @@ from stampede_rt_channel_host.core.channel import Position
 from tests.oracle import OracleChannel, OracleReader
 from tests.property.channel_pair import check_causes
 from tests.property.paths.surfaces import Surface
-from tests.property.paths.values import Follower, OracleRun, stated
+from tests.property.paths.values import Follower, OracleRun, policy_arguments
 
 LOOKS_MAX = 20_000
 REASONS = {"TOO_OLD": "too_old", "IN_FUTURE": "in_future", "ITEM_TOO_LARGE": "too_large", "CHANNEL_FULL": "full"}
@@ -44,7 +44,7 @@ class PathAndOracle:
         self.oracle = OracleChannel(policy)
         self.name = f"scenario/{next(_names)}"
         others = range(1, len(surface.connections))
-        self.handles = [self.open(0, **stated(policy)), *map(self.open, others)]
+        self.handles = [self.open(0, **policy_arguments(policy)), *map(self.open, others)]
         # an odd number of turns: otherwise a step that takes two turns would always read with the same half of the
         # clients
         self._turns = itertools.cycle(self.handles if len(self.handles) % 2 else [*self.handles, self.handles[-1]])

@@ -100,7 +100,7 @@ class Follower:
     dropped: int = 0
 
 
-def stated(policy: Policy) -> dict[str, Any]:
+def policy_arguments(policy: Policy) -> dict[str, Any]:
     """A policy as the client's arguments."""
     given = {one.name: getattr(policy, one.name) for one in fields(policy)}
     return {

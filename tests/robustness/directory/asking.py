@@ -11,7 +11,11 @@ from tests.robustness.directory.world import DirectoryWorld
 
 
 async def ask(world: DirectoryWorld, method: str, request: Any, seconds: float, *, caller: object) -> Any:
-    """Return the answer. Raises the directory's refusal, or the error of the last supernode."""
+    """Return the answer. Tries one supernode after the other, for `seconds` in all.
+
+    Raises the directory's refusal if a retry would not change it, or a retryable error if no supernode answered in
+    time.
+    """
     began, deadline = world.now, world.now + seconds
     for member in _members(world, caller):
         left = deadline - world.now

@@ -20,8 +20,8 @@ from tests.robustness.real_cluster.traffic import CLIENT
 from tests.support.supernode.processes import clean_environment
 
 FORGOTTEN_SECONDS_MAX = 45.0
-"""Over TCP sockets a host sends a sign of life every 2.5 s, and its kernel waits 30 s for the acknowledgement. gRPC
-needs the same time.
+"""The time in which a host must end the calls. Over TCP sockets it sends a sign of life every 2.5 s, and its kernel
+waits 30 s for the acknowledgement. gRPC needs the same time.
 """
 VANISHED_PATIENCE_SECONDS = 90.0
 POLL_SECONDS = 0.1
@@ -32,12 +32,12 @@ async def vanish_client(scene: Scene) -> None:
     """Cut the link of a client with a subscription, a waiting get and a waiting put. The host must end all three."""
     pinned = await pin(scene)
     full = await _full(scene, pinned)
-    transport, places = scene.rng.choice(("tcp", "grpc")), (pinned.channel, full)
+    transport, channels = scene.rng.choice(("tcp", "grpc")), (pinned.channel, full)
     async with _waiting_client(scene, pinned.channel.name, transport):
-        await _until(lambda: _waiting(*places), 3)
+        await _until(lambda: _waiting(*channels), 3)
         began = time.monotonic()
         async with _unplugged(scene, scene.cluster.outside):
-            await _until(lambda: _waiting(*places), 0)
+            await _until(lambda: _waiting(*channels), 0)
             recovery = time.monotonic() - began
     scene.ended(
         f"client over {transport}: its link is gone",

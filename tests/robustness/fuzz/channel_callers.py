@@ -37,7 +37,8 @@ async def put_by_producer(calling: CallingClient, channel: Any, ledger: Ledger, 
     while not over.is_set():
         payload = payload_of(calling, who, number := number + 1)
         outcome = await calling.outcome("put of a producer", calling.plain(producer.put, payload))
-        (ledger.refused if outcome in (INTERRUPTED, FAILED) else handed).add(payload)
+        if outcome not in (INTERRUPTED, FAILED):
+            handed.add(payload)
         if calling.rng.random() < 0.1:
             await calling.outcome("flush", calling.plain(producer.flush, 2), 2)
         await asyncio.sleep(0)

@@ -12,10 +12,12 @@ class Ledger:
 
     accepted: set[bytes] = field(default_factory=set)  # acknowledged to the client
     open: set[bytes] = field(default_factory=set)  # the put was interrupted or failed: the payload may be there or not
-    refused: set[bytes] = field(default_factory=set)  # the client never sent them
 
     def judge(self, held: Counter[bytes]) -> None:
-        """Raises AssertionError if a payload is doubled, lost, or was never put. `held`: how often each is there."""
+        """Raises AssertionError if a payload is doubled, lost, or was never put.
+
+        `held`: the number of times that each payload is present.
+        """
         doubled = [payload for payload, count in held.items() if count > 1]
         assert not doubled, f"doubled: {doubled[:5]}"
         lost = self.accepted - held.keys()

@@ -23,7 +23,7 @@ class NotLinearizable(AssertionError):
 
 
 class SearchGivenUp(AssertionError):
-    """The search was given up. This counts as a failure, because nothing is proven."""
+    """The search ended without a proof, after too many configurations. This counts as a failure."""
 
 
 @dataclass(slots=True)
@@ -64,8 +64,8 @@ def check_linearizable(
     *,
     configurations_max: int = CONFIGURATIONS_MAX,
 ) -> None:
-    """Check the history. `step` gives the state after an operation with the recorded answer, or None if that is
-    impossible.
+    """Check the history. `step` gives the state after an operation, or None if the operation cannot have the
+    recorded answer.
 
     Raises NotLinearizable with the operation at which every order fails, or SearchGivenUp.
     """
@@ -98,7 +98,7 @@ def check_linearizable(
         node = node.after
 
 
-def _is_new(configuration: tuple[int, Hashable], visited: set[tuple[int, Hashable]], most: int) -> bool:
+def _is_new(configuration: tuple[int, Hashable], visited: set[tuple[int, Hashable]], configurations_max: int) -> bool:
     """Whether the search reaches this configuration for the first time.
 
     Raises SearchGivenUp after too many configurations.
@@ -106,8 +106,8 @@ def _is_new(configuration: tuple[int, Hashable], visited: set[tuple[int, Hashabl
     if configuration in visited:
         return False
     visited.add(configuration)
-    if len(visited) > most:
-        raise SearchGivenUp(f"more than {most} configurations were searched without a proof")
+    if len(visited) > configurations_max:
+        raise SearchGivenUp(f"the search tried more than {configurations_max} configurations without a proof")
     return True
 
 
@@ -136,5 +136,6 @@ def _explanation(operations: Sequence[Operation], position: int) -> str:
         for one in sorted(operations, key=lambda one: one.invoked)
     )
     return (
-        f"key {culprit.key}: no order of these operations explains their answers; no order fits the one at >\n{lines}"
+        f"key {culprit.key}: no order of these operations explains their answers; "
+        f"> marks an operation that fits into no order\n{lines}"
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from stampede_rt_web.drawing import Window, draw
 from stampede_rt_web.track import ABSENT, ItemTrack, TrackItem
-from stampede_rt_web.window_cache import WINDOW_NANOS, WINDOWS_MAX, WindowCache
+from stampede_rt_web.window_cache import REREAD_NANOS, WINDOWS_MAX, WindowCache
 
 
 def window(start: int, width: int = 100) -> Window:
@@ -17,8 +17,8 @@ def test_a_window_is_read_once_and_read_again_after_some_time() -> None:
     assert windows.track_of(window(1)) is None
     windows.keep(window(1), track, now=0)
     assert windows.track_of(window(1, width=50)) is track
-    assert not windows.is_due(window(1), now=WINDOW_NANOS - 1)
-    assert windows.is_due(window(1), now=WINDOW_NANOS)
+    assert not windows.is_due(window(1), now=REREAD_NANOS - 1)
+    assert windows.is_due(window(1), now=REREAD_NANOS)
 
 
 def test_only_the_windows_that_were_read_last_are_kept() -> None:

@@ -1,4 +1,4 @@
-"""The items that the page has read for windows of the past, because they are older than the items in memory. Pure."""
+"""The items of windows that are older than the items in memory. The page has read these items. Pure."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from stampede_rt_web.drawing import Window
 from stampede_rt_web.track import ItemTrack
 
 WINDOWS_MAX = 4  # the most windows of one channel
-WINDOW_NANOS = 5_000_000_000  # after this time the page reads a window again, because late items may have come
+REREAD_NANOS = 5_000_000_000  # after this time the page reads a window again, because late items may have come
 
 
 class WindowCache:
@@ -35,4 +35,4 @@ class WindowCache:
     def is_due(self, window: Window, now: int) -> bool:
         """Whether the window has to be read: for the first time, or again."""
         kept = self._kept.get((window.start, window.end))
-        return kept is None or now - kept[0] >= WINDOW_NANOS
+        return kept is None or now - kept[0] >= REREAD_NANOS

@@ -85,15 +85,15 @@ def publish(assignment: Assignment, number: int, client: Client) -> array[int]:
     _, _, needs, workload, progress, deadline_s = assignment
     while not progress.all_ready() and not progress.has_ended(deadline_s):
         time.sleep(0.01)
-    rate = at_rate(progress, needs.item_bytes, workload.rate, deadline_s, workload.items_total)
-    client.publish(rate if workload.rate else at_full_speed(progress, needs, deadline_s))
+    timed_batches = at_rate(progress, needs.item_bytes, workload.rate, deadline_s, workload.items_total)
+    client.publish(timed_batches if workload.rate else at_full_speed(progress, needs, deadline_s))
     return array("Q")
 
 
 def read(assignment: Assignment, number: int, client: Client) -> array[int]:
     """Take items until the run ends."""
     _, _, needs, workload, progress, deadline_s = assignment
-    kind = TimingReceiver if workload.rate else CountingReceiver
-    receiver = kind(progress, number, needs.item_bytes, deadline_s)
+    receiver_type = TimingReceiver if workload.rate else CountingReceiver
+    receiver = receiver_type(progress, number, needs.item_bytes, deadline_s)
     client.subscribe(receiver)
     return receiver.latencies_nanos if isinstance(receiver, TimingReceiver) else array("Q")

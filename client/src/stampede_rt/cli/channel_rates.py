@@ -9,7 +9,7 @@ from statistics import pstdev
 
 from stampede_rt.values.statistics import ChannelStats
 
-Look = Mapping[str, tuple[str, ChannelStats]]
+CounterReading = Mapping[str, tuple[str, ChannelStats]]
 """By the name of each channel: its host, and its counters."""
 SORTS = ("bytes", "items", "age", "lag", "held", "refused", "dropped", "name")
 
@@ -35,7 +35,7 @@ class ChannelRates:
     subscriptions: int
 
 
-def rates_of(before: Look, after: Look) -> list[ChannelRates]:
+def rates_of(before: CounterReading, after: CounterReading) -> list[ChannelRates]:
     """The rates of the channels in `after`. They are 0 for a channel that `before` lacks, or that has begun anew."""
     return [_rates(name, host, before.get(name), now) for name, (host, now) in after.items()]
 

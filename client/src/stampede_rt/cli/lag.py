@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import add_verb, connected, parse_count
-from stampede_rt.cli.looking import owners_of
+from stampede_rt.cli.counter_readings import owners_of
 from stampede_rt.cli.output import print_rows
 from stampede_rt.errors import StampedeError
 from stampede_rt.values.timeline import format_duration

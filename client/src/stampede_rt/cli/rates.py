@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import add_verb, connected, existing, is_glob, parse_count, timeout_seconds
-from stampede_rt.cli.channel_rates import ChannelRates, Look, arranged, jitter_of, rates_of
-from stampede_rt.cli.looking import look_at
+from stampede_rt.cli.channel_rates import ChannelRates, CounterReading, arranged, jitter_of, rates_of
+from stampede_rt.cli.counter_readings import read_counters
 from stampede_rt.cli.output import bytes_text, print_rows, roughly
 from stampede_rt.errors import StampedeError
 from stampede_rt.values.statistics import ChannelStats
@@ -63,10 +63,10 @@ def run_hz(arguments: argparse.Namespace) -> int:
     with connected(arguments) as rt:
         if not is_glob(name):
             existing(rt, name)
-        for before, after in _looks(rt, name, arguments):
+        for before, after in _readings(rt, name, arguments):
             rows = [_hz_row(rt, one, arguments) for one in arranged(rates_of(before, after), "name")]
             if not rows and not is_glob(name):
-                existing(rt, name).stats()  # raises the reason: the channel or its host has gone
+                existing(rt, name).stats()  # raises the error: the channel or its host has gone
             if arguments.output != "table":
                 sys.stdout.writelines(json.dumps(row) + "\n" for row in rows)
             elif not is_glob(name):
@@ -78,13 +78,15 @@ def run_hz(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _looks(rt: Connection, glob: str, arguments: argparse.Namespace) -> Iterator[tuple[Look, Look]]:
+def _readings(
+    rt: Connection, glob: str, arguments: argparse.Namespace
+) -> Iterator[tuple[CounterReading, CounterReading]]:
     """Yield pairs of readings of the hosts' counters, `--every` apart."""
-    before = look_at(rt, glob)
+    before = read_counters(rt, glob)
     made = 0
     while arguments.count is None or made < arguments.count:
         time.sleep(arguments.every)
-        after = look_at(rt, glob)
+        after = read_counters(rt, glob)
         yield before, after
         before, made = after, made + 1
 

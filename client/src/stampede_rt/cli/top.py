@@ -13,8 +13,8 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import add_verb, connected, parse_count
-from stampede_rt.cli.channel_rates import SORTS, ChannelRates, Look, arranged, rates_of
-from stampede_rt.cli.looking import look_at
+from stampede_rt.cli.channel_rates import SORTS, ChannelRates, CounterReading, arranged, rates_of
+from stampede_rt.cli.counter_readings import read_counters
 from stampede_rt.cli.output import bytes_text
 from stampede_rt.cli.rates import period_seconds
 from stampede_rt.cli.top_columns import CHANNEL_MIN, COLUMN_NAMES, GAP, WIDTHS, fitting_columns
@@ -51,15 +51,15 @@ def run_top(arguments: argparse.Namespace) -> int:
 
 
 def _print_lines(rt: Connection, arguments: argparse.Namespace) -> None:
-    before = look_at(rt, arguments.glob)
-    looks = 0
-    while arguments.count is None or looks < arguments.count:
+    before = read_counters(rt, arguments.glob)
+    readings = 0
+    while arguments.count is None or readings < arguments.count:
         time.sleep(arguments.every)
-        after = look_at(rt, arguments.glob)
+        after = read_counters(rt, arguments.glob)
         for row in arranged(rates_of(before, after), arguments.sort):
             print(json.dumps(asdict(row)))
         sys.stdout.flush()
-        before, looks = after, looks + 1
+        before, readings = after, readings + 1
 
 
 class TopView:
@@ -98,17 +98,17 @@ def _show(rt: Connection, arguments: argparse.Namespace) -> None:
             "the live view needs rich: pip install 'stampede-rt[top]'; without it use stampede top --output jsonl"
         ) from None
     view, console = TopView(arguments.sort), Console(highlight=False)
-    looks = [look_at(rt, arguments.glob)] * 2
+    readings = [read_counters(rt, arguments.glob)] * 2
     with _keys() as read_key, Live(console=console, screen=True, auto_refresh=False) as live:
 
         def redraw() -> None:
-            live.update(_table(looks[0], looks[1], view, console), refresh=True)
+            live.update(_table(readings[0], readings[1], view, console), refresh=True)
 
         made = 0
         while not view.is_over and (arguments.count is None or made < arguments.count):
             _wait(read_key, view, arguments.every, redraw)
             if not view.is_paused:
-                looks[:] = looks[1], look_at(rt, arguments.glob)
+                readings[:] = readings[1], read_counters(rt, arguments.glob)
             made += 1
             redraw()
 
@@ -143,7 +143,7 @@ def _keys() -> Iterator[Callable[[float], str]]:
         termios.tcsetattr(file, termios.TCSADRAIN, former)
 
 
-def _table(before: Look, after: Look, view: TopView, console: Any) -> Any:
+def _table(before: CounterReading, after: CounterReading, view: TopView, console: Any) -> Any:
     from rich.table import Table
     from rich.text import Text
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from stampede_rt_frontend.roster import SupernodeRoster
 
-# How long the parts of a cluster may take to start.
+# The time in which the parts of a cluster start.
 START_SECONDS = 5.0
 
 

@@ -13,7 +13,7 @@ from stampede_rt.status import abort
 
 # Takes the id of a caller's cluster. Returns the error for the caller; None: the server serves the call.
 JudgeCluster = Callable[[str], StampedeError | None]
-# Callers use these to find out which cluster a server belongs to.
+# Callers use these methods to find the cluster of a server.
 _OPEN_METHODS = frozenset({"/stampede_rt.v1.DirectoryService/Ping", "/grpc.health.v1.Health/Check"})
 
 

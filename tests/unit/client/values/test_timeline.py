@@ -53,7 +53,7 @@ def test_a_timedelta_is_exact() -> None:
     assert parse_duration(timedelta(days=400, microseconds=1)) == 400 * 86_400 * 10**9 + 1_000
 
 
-def test_an_items_duration_may_be_the_nanoseconds_of_another_item() -> None:
+def test_an_items_duration_may_be_a_number_of_nanoseconds() -> None:
     assert parse_item_duration(33_000_000) == parse_item_duration("33ms") == 33_000_000
     assert parse_item_duration(None) is None
 
@@ -97,13 +97,13 @@ def test_an_interval_whose_end_is_before_its_start_is_refused(a: int, b: int) ->
             parse_interval(high, low)
 
 
-def test_all_anchors_are_resolved_together() -> None:
+def test_all_meta_times_are_resolved_together() -> None:
     interval = parse_interval(OLDEST, NOW - "1ns", "(]")
     assert interval.resolve(now=100, newest=90, oldest=50) == ResolvedInterval(50, 99, True, False)
     assert interval.resolve(now=100, newest=None, oldest=None) is None
 
 
-def test_only_intervals_with_newest_or_oldest_wait_for_an_item() -> None:
+def test_an_interval_without_newest_and_oldest_is_resolved_before_the_first_item() -> None:
     assert parse_interval(0, NOW).resolve(now=7, newest=None, oldest=None) == ResolvedInterval(0, 7)
 
 
@@ -116,7 +116,7 @@ def test_sums_stay_within_64_bits(instant: int, offset: int) -> None:
 
 
 @pytest.mark.parametrize(("bounds", "expected"), [("[]", False), ("[)", True), ("(]", True), ("()", True)])
-def test_an_interval_of_one_instant_needs_both_ends(bounds: str, expected: bool) -> None:
+def test_an_interval_of_one_instant_is_empty_unless_both_bounds_are_inclusive(bounds: str, expected: bool) -> None:
     resolved = parse_interval(10, 10, bounds).resolve(now=0, newest=None, oldest=None)
     assert resolved is not None
     assert resolved.is_empty is expected

@@ -1,4 +1,4 @@
-"""Makes lookups in the directory in the background: one at a time of each thing, and not too often."""
+"""Makes lookups in the directory in the background: of each thing at most one at a time, with a pause after it."""
 
 from __future__ import annotations
 
@@ -18,14 +18,15 @@ PAUSE_SECONDS = 0.2  # between two lookups of the same thing
 class BackgroundLookups:
     """The lookups in the directory that are under way. If a lookup fails, the host only logs the failure.
 
-    Drops a lookup beyond LOOKUPS_MAX. So the caller must remember its lookup, and ask again until the answer comes.
+    Drops a lookup beyond LOOKUPS_MAX. So the caller must remember its lookup, and call `start` again
+    until the answer comes.
     """
 
     def __init__(self) -> None:
         self._running: dict[bytes | None, asyncio.Task[None]] = {}
         self._closed = False
 
-    def ask(self, about: bytes | None, work: Coroutine[Any, Any, None]) -> None:
+    def start(self, about: bytes | None, work: Coroutine[Any, Any, None]) -> None:
         """Run `work`, the lookup of the thing `about`, in a task. Does not wait.
 
         Does nothing if a lookup of this thing is under way, or ended less than PAUSE_SECONDS ago. `about` None: the
@@ -38,7 +39,7 @@ class BackgroundLookups:
         task.add_done_callback(lambda _: self._running.pop(about, None))
 
     def close(self) -> None:
-        """Stop asking."""
+        """Cancel all lookups, and start no more."""
         self._closed = True
         for task in list(self._running.values()):
             task.cancel()

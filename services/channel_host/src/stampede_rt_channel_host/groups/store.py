@@ -173,7 +173,7 @@ class GroupStore:
         group = self._table.groups.get(group_id)
         if group is not None:
             group.is_stale = True
-        self._lookups.ask(group_id, self._look_up(group_id, only_new=False))
+        self._lookups.start(group_id, self._look_up(group_id, only_new=False))
 
     def _learn_of(self, channel_ids: set[bytes]) -> None:
         """Look up the groups of these channels in the background, because other hosts may know groups, or versions of
@@ -181,7 +181,7 @@ class GroupStore:
         """
         self._to_learn |= channel_ids - self._table.own.keys()
         if self._to_learn:
-            self._lookups.ask(None, self._learn_groups())
+            self._lookups.start(None, self._learn_groups())
 
     async def _learn_groups(self) -> None:
         while self._to_learn:

@@ -1,6 +1,6 @@
 """The blocked gets of one channel through one group.
 
-The host looks at a get when the channel or the cut has moved as far as the get needs.
+The host looks for the answer of a get again when the channel or the cut has reached the instant that the get needs.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ Released = ReadAnswer | UnfinishedWork[ReadAnswer | WakeAt] | UnfinishedWork[Rea
 class PendingGroupGet(PendingGet):
     """A blocking get through a group.
 
-    `at`: the cut at which the get reads; None: the present cut. `cut`: the cut at the last look for its answer.
+    `at`: the cut at which the get reads; None: the present cut. `cut`: the cut at which the host last looked for the
+    answer.
     """
 
     __slots__ = ("at", "cut")
@@ -54,9 +55,9 @@ class _GroupSnapshot:
 
     def polling(self, pending: PendingGet, now: int) -> Pieces[ReadAnswer | WakeAt]:
         """See `PolledSource`."""
-        at = _at(pending)
-        horizon = self._horizon if at.at is None else self._group.horizon(at.at)
-        at.cut = horizon.cut
+        group_get = _group_get(pending)
+        horizon = self._horizon if group_get.at is None else self._group.horizon(group_get.at)
+        group_get.cut = horizon.cut
         return polling(self._snapshot, pending, horizon, self._snapshot.clock)
 
     def close(self) -> None:
@@ -158,9 +159,9 @@ class GroupGets:
         self._scheduler.begin(self.gets.ending(error))
 
     def _horizon(self, pending: PendingGet) -> Horizon:
-        at = _at(pending)
-        horizon = self._group.horizon(at.at)
-        at.cut = horizon.cut
+        group_get = _group_get(pending)
+        horizon = self._group.horizon(group_get.at)
+        group_get.cut = horizon.cut
         return horizon
 
     def _leave(self) -> None:
@@ -173,6 +174,6 @@ class GroupGets:
         return BEFORE_ALL if cut is None else cut
 
 
-def _at(pending: PendingGet) -> PendingGroupGet:
+def _group_get(pending: PendingGet) -> PendingGroupGet:
     assert isinstance(pending, PendingGroupGet), "GroupGets holds only gets through the group"
     return pending

@@ -20,13 +20,14 @@ logger = logging.getLogger(__name__)
 
 REUSE_SECONDS_MIN, REUSE_SECONDS_MAX = 1.0, 10.0
 REUSE_FACTOR = 20
-"""A page is reused for this many times as long as it took to make, so that scrapes take at most 5 % of a core. If it
-took more than half a second to make, REUSE_SECONDS_MAX limits the reuse, and scrapes may take more.
+"""The service gives callers the same page for REUSE_FACTOR times the time that it took to make the page. So scrapes
+take at most 5 % of a core. REUSE_SECONDS_MAX limits the reuse of a page that took more than half a second, and scrapes
+may then take more.
 """
 
 STEP_SECONDS = 0.001
-"""How long one step makes the page before other work runs. A step for each family would take long on a busy event
-loop."""
+"""The time that one step spends on the page before other work runs. If each family had a step of its own, the page
+would take long on a busy event loop."""
 
 Collect = Callable[[], Awaitable[Iterable[AnyFamily]]]
 
@@ -91,10 +92,10 @@ async def serving_metrics(
 
     lag = LoopLag()
 
-    async def of_this_server() -> Iterable[AnyFamily]:
+    async def server_metrics() -> Iterable[AnyFamily]:
         return of_server(server, service, lag)
 
-    page = MetricsPage(of_this_server, *sources)
+    page = MetricsPage(server_metrics, *sources)
     http = MetricsHttpServer(page.make, CONTENT_TYPE)
     address = await _listen(http, listen)
     measuring = asyncio.create_task(lag.measure(), name="event loop lag")

@@ -1,4 +1,4 @@
-"""Registers the services of the directory's other records, on the port of DirectoryService."""
+"""Registers the services for groups, replicas, moves, queues and peers, on the port of DirectoryService."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from stampede_rt_supernode.servicers.watch import Watches
 def register_record_services(
     server: grpc.aio.Server, calls: DirectoryCalls, loads: LoadKeeper, leases: LeaseKeeper, watches: Watches
 ) -> None:
-    """Register the services. Call it before the server starts."""
+    """Register the services. Call this function before the server starts."""
     groups.add_GroupDirectoryServiceServicer_to_server(GroupDirectoryServicer(calls), server)
     replicas.add_ReplicaDirectoryServiceServicer_to_server(ReplicaDirectoryServicer(calls, loads), server)
     moves.add_MigrationDirectoryServiceServicer_to_server(MigrationDirectoryServicer(calls), server)

@@ -57,7 +57,7 @@ def test_the_index_of_a_segment_has_its_blocks_and_any_changed_byte_is_noticed()
     found, length = blocks(3), 3 * (HEAD_BYTES + 20)
     raw = encode_index(found)
     assert decode_index(raw, length) == found
-    assert decode_index(raw, length - 1) is None  # the object was cut
+    assert decode_index(raw, length - 1) is None  # the object is truncated
     for at in range(len(raw)):
         assert decode_index(raw[:at] + bytes([raw[at] ^ 4]) + raw[at + 1 :], length) is None
         assert decode_index(raw[:at], length) is None

@@ -30,7 +30,8 @@ BLOCK_INDEX_BYTES = 192
 class _Columns(NamedTuple):
     """Columns in the order of the file. `heads` and `offsets` have all blocks.
 
-    `advances` and `places` have positions among all blocks: of the blocks of advances, and of the blocks with items.
+    `advances` has the positions of the blocks of advances among all blocks, and `places` the positions of the blocks
+    with items.
     The columns after `places` have only the blocks with items.
     """
 
@@ -111,7 +112,7 @@ class SegmentBlocks(Sequence[PlacedBlock]):
     def breaks(self) -> Iterator[tuple[BlockHead, BlockHead]]:
         """The pairs of neighbouring blocks of items between which seqs are missing."""
         for at in self._breaks:
-            yield self._of(at).head, self._of(at + 1).head
+            yield self._item_block(at).head, self._item_block(at + 1).head
 
     def position(self, offset: int) -> int:
         """The position of the block at `offset` among the blocks that have items."""
@@ -120,14 +121,14 @@ class SegmentBlocks(Sequence[PlacedBlock]):
     def up(self, low: ItemKey) -> Iterator[PlacedBlock]:
         """The blocks of items that reach to `low` or beyond, by their least key."""
         for at in range(bisect_left(self._reach, low[0]), len(self._by_low)):
-            block = self._of(self._by_low[at])
+            block = self._item_block(self._by_low[at])
             if block.head.high >= low:
                 yield block
 
     def down(self, low: ItemKey, high: ItemKey) -> Iterator[PlacedBlock]:
         """The blocks of items with keys from `low` up to `high`, by their greatest key, the last one first."""
         for at in reversed(range(bisect_right(self._least, high[0]))):
-            block = self._of(self._by_high[at])
+            block = self._item_block(self._by_high[at])
             if block.head.high < low:
                 return
             if block.head.low < high:
@@ -136,7 +137,7 @@ class SegmentBlocks(Sequence[PlacedBlock]):
     def from_seq(self, first_seq: int) -> Iterator[PlacedBlock]:
         """The blocks of items that have `first_seq` or later seqs, in the order of the seqs."""
         for at in range(bisect_right(self._columns.end_seqs, first_seq), len(self._columns.places)):
-            yield self._of(at)
+            yield self._item_block(at)
 
     def last_end_before(self, time: int) -> int | None:
         """The greatest time at which a block of items ends before `time`, or None."""
@@ -193,7 +194,7 @@ class SegmentBlocks(Sequence[PlacedBlock]):
         """The blocks of advances."""
         return [self[at] for at in self._columns.advances]
 
-    def _of(self, at: int) -> PlacedBlock:
+    def _item_block(self, at: int) -> PlacedBlock:
         return self[self._columns.places[at]]
 
 

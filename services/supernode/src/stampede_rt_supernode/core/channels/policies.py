@@ -52,7 +52,7 @@ def is_provisional(policy: Policy) -> bool:
     return all(getattr(policy, name) is None for name in LIMITS)
 
 
-def stated(policy: Policy) -> dict[str, int | str]:
+def stated_settings(policy: Policy) -> dict[str, int | str]:
     """The stated fields of a policy, by name."""
     named = {field.name: getattr(policy, field.name) for field in fields(policy)}
     return {name: value for name, value in named.items() if value is not None}
@@ -145,7 +145,7 @@ def agree(channel: str, held: Policy, requested: Policy) -> Policy:
     must have the value in effect, because another value would collect items of other callers without their knowledge.
     The channel takes over content_type later, too.
     """
-    for name, value in stated(requested).items():
+    for name, value in stated_settings(requested).items():
         before = getattr(held, name)
         if before is None and name != FIXED and (is_provisional(held) or name == "content_type"):
             continue
@@ -179,4 +179,4 @@ def _as_written(field: str, value: object) -> str:
 
 def merge(held: Policy, changes: Policy) -> Policy:
     """`held` with the stated fields of `changes`."""
-    return replace(held, **stated(changes))  # type: ignore[arg-type]  # each value comes from the field of that name
+    return replace(held, **stated_settings(changes))  # type: ignore[arg-type]  # each value comes from the field of that name

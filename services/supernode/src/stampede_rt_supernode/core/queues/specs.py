@@ -81,7 +81,7 @@ def _invalid(queue: str, field: str, text: str) -> InvalidArgument:
     return InvalidArgument(f"queue {queue}: {text}", metadata={"queue": queue, "field": field})
 
 
-def stated(spec: QueueSpec) -> dict[str, int | str | bytes]:
+def stated_settings(spec: QueueSpec) -> dict[str, int | str | bytes]:
     """The stated fields of a policy, by name."""
     named = {field.name: getattr(spec, field.name) for field in fields(spec)}
     return {name: value for name, value in named.items() if value is not None}
@@ -89,7 +89,7 @@ def stated(spec: QueueSpec) -> dict[str, int | str | bytes]:
 
 def merge(held: QueueSpec, changes: QueueSpec) -> QueueSpec:
     """`held` with the stated fields of `changes`."""
-    return replace(held, **stated(changes))  # type: ignore[arg-type]  # each value comes from the field of that name
+    return replace(held, **stated_settings(changes))  # type: ignore[arg-type]  # each value comes from the field of that name
 
 
 def agree(queue: str, held: QueueSpec, requested: QueueSpec) -> QueueSpec:
@@ -102,7 +102,7 @@ def agree(queue: str, held: QueueSpec, requested: QueueSpec) -> QueueSpec:
     effect, because another value would affect other producers and takers.
     """
     provisional = all(getattr(held, name) is None for name in LIMITS)
-    for name, value in stated(requested).items():
+    for name, value in stated_settings(requested).items():
         before = getattr(held, name)
         if before is None and (provisional or name == "content_type"):
             continue

@@ -21,7 +21,7 @@ ChangeOutcome = int | OutcomeUnknown | ChangeRefused | ChangeUnderWay | NotLeadi
 
 @dataclass(slots=True)
 class MemberChange:
-    """A caller's request to add `member`, or, if `is_removal`, to remove it. `done` is called once.
+    """A caller's request to add `member`, or, if `is_removal`, to remove it. The leader calls `done` once.
 
     In a removal only the id of `member` counts. `ticket`: the ticket that lets the newcomer in; empty if it needs none.
     """
@@ -34,7 +34,7 @@ class MemberChange:
 
 @dataclass(slots=True)
 class MemberAddition:
-    """A newcomer, and all callers that wait for it. All times are by the node's clock.
+    """A newcomer, and all callers that wait for it. All times are seconds of the node's clock.
 
     The addition began at `began`, and its present round of catching up at `round_began`. The round ends when the
     newcomer has acknowledged `round_end`. `progress` has last changed at `progress_at`.

@@ -1,17 +1,17 @@
-"""One look at the counters of all matching channels, at all hosts."""
+"""Reads the counters of all matching channels, at all hosts."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from stampede_rt.cli.channel_rates import Look
+from stampede_rt.cli.channel_rates import CounterReading
 from stampede_rt.errors import StampedeError
 
 if TYPE_CHECKING:
     from stampede_rt import Connection
 
 
-def look_at(rt: Connection, glob: str) -> Look:
+def read_counters(rt: Connection, glob: str) -> CounterReading:
     """Return the counters of all matching channels. Leaves out hosts that do not answer."""
     found: dict[str, tuple[str, Any]] = {}
     owners = owners_of(rt, glob)
