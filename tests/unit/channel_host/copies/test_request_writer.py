@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from stampede_rt.errors import Unavailable
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.copies.feed_calls import BROKEN_AFTER_SECONDS
 from stampede_rt_channel_host.copies.request_writer import RequestWriter
@@ -53,13 +54,15 @@ class Requests(RequestWriter):
 
     def __init__(self) -> None:
         super().__init__(lambda: PERIOD_S, self._check, self._numbered)
-        self.made, self.is_silent = 0, False
+        self.made, self.is_silent, self.has_lease = 0, False, True
 
     def _check(self) -> None:
         if self.is_silent:
             raise TimeoutError
 
     def _numbered(self) -> pb.FeedRequest:
+        if not self.has_lease:
+            raise Unavailable("this host has no lease")
         self.made += 1
         self.note_request()
         return pb.FeedRequest(sent_nanos=self.made)
@@ -152,6 +155,26 @@ def test_the_fault_of_a_source_ends_the_feed(fault: str) -> None:
         assert isinstance(raised.value.exceptions[0], TimeoutError)
         assert call.sent == []
         requests.write_soon()  # a step of a move may come after the end
+        assert call.sent == []
+
+    run_virtually(run, seed=1)
+
+
+def test_an_error_of_a_request_ends_the_feed_and_not_its_caller() -> None:
+    """The caller continues with the other steps of the move."""
+
+    async def write_without_lease(requests: Requests, call: SocketStream) -> None:
+        async with asyncio.TaskGroup() as tasks:
+            requests.open(call, tasks)
+            requests.has_lease = False
+            requests.write_soon()
+            await asyncio.sleep(PERIOD_S / 2)
+
+    async def run(_clock: VirtualClock) -> None:
+        call = SocketStream()
+        with pytest.raises(ExceptionGroup) as raised:
+            await write_without_lease(Requests(), call)
+        assert isinstance(raised.value.exceptions[0], Unavailable)
         assert call.sent == []
 
     run_virtually(run, seed=1)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
+from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.copies.feed_calls import BROKEN_AFTER_SECONDS
 from stampede_rt_runtime.sockets.dialing import HostStream
@@ -24,7 +25,7 @@ class RequestWriter:
         next_request: Callable[[], pb.FeedRequest],
     ) -> None:  # fmt: skip
         """`wait_seconds` returns the time until the task's next request. `check_source` raises TimeoutError if the
-        source is silent. `next_request` makes a request.
+        source is silent. `next_request` makes a request; it may raise StampedeError.
         """
         self._wait_seconds = wait_seconds
         self._check_source = check_source
@@ -37,7 +38,9 @@ class RequestWriter:
         self._timer: asyncio.TimerHandle | None = None
 
     def open(self, call: Any, tasks: asyncio.TaskGroup) -> None:
-        """Begin to write to a stream. `tasks` gets the task, whose errors are those of the stream and TimeoutError."""
+        """Begin to write to a stream. `tasks` gets the task. Its errors are those of the stream and of `next_request`,
+        and TimeoutError.
+        """
         self._call, self._tasks, self._task = call, tasks, None
         self._timer = asyncio.get_running_loop().call_later(self._wait_seconds(), self._begin)
         if self._wakeup.is_set():
@@ -54,12 +57,16 @@ class RequestWriter:
         self._begin()
 
     def write_soon(self) -> None:
-        """Write a request immediately if the stream takes it without a wait. Otherwise the task writes it."""
+        """Write a request immediately if the stream takes it without a wait. Otherwise the task writes it.
+
+        Raises nothing: the task gets the error of `next_request`.
+        """
         write = None if self.is_busy or not isinstance(self._call, HostStream) else self._call.write_now
-        if write is not None:
-            write(self._next_request())
-        else:
-            self.wake()
+        with suppress(StampedeError):
+            if write is not None:
+                write(self._next_request())
+                return
+        self.wake()
 
     async def write(self) -> None:
         """Write a request. If another one is being written, lets the task write it."""
