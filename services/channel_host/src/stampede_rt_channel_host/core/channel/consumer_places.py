@@ -148,8 +148,10 @@ class PlaceTable:
 
     def expire(self, clock: int) -> None:
         """End the leases whose time is over."""
-        while (place := self._leases.pop(clock)) is not None:
-            self._end(place)
+        while (end := self._leases.next()) is not None and end <= clock:
+            place = self._leases.pop(clock)
+            if place is not None:  # None: there were too many changed deadlines for one call
+                self._end(place)
 
     def take(self, consumer_id: int, done_below: int, restart_seq: int) -> tuple[Place, SeqSet]:
         """The consumer's place, and the seqs that are done there. If the consumer has no place, it takes one now.
