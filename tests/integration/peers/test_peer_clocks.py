@@ -67,7 +67,7 @@ class ClockedPeer:
 
 
 @pytest.fixture
-def robot(cluster: LocalCluster, tmp_path: Path) -> Iterator[Callable[[str, int], ClockedPeer]]:
+def start_robot(cluster: LocalCluster, tmp_path: Path) -> Iterator[Callable[[str, int], ClockedPeer]]:
     made: list[ClockedPeer] = []
 
     def make(name: str, off_nanos: int) -> ClockedPeer:
@@ -85,16 +85,16 @@ def is_off(clock: st.ClockOffset | None, nanos: int) -> bool:
 
 
 def test_every_leader_reports_the_clock_offset_of_a_peer(
-    cluster: LocalCluster, robot: Callable[[str, int], ClockedPeer], capsys: pytest.CaptureFixture[str]
+    cluster: LocalCluster, start_robot: Callable[[str, int], ClockedPeer], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    late = robot("robot/late", -7200 * SECOND)
-    robot("robot/gone", 0).kill()
+    late = start_robot("robot/late", -7200 * SECOND)
+    start_robot("robot/gone", 0).kill()
     with st.connect(cluster.address, name="robot/well") as rt:
 
-        def shown(nanos: int) -> bool:
+        def shows_offset(nanos: int) -> bool:
             return is_off(rt.peer(late.name).clock, nanos)
 
-        wait_until(lambda: shown(-7200 * SECOND) and is_off(rt.peer("robot/well").clock, 0))
+        wait_until(lambda: shows_offset(-7200 * SECOND) and is_off(rt.peer("robot/well").clock, 0))
         assert stampede(["peers", "robot/*", "--url", cluster.address]) == 0
         printed = capsys.readouterr().out
         assert "robot/late: its clock is 2 h behind that of supernode s" in printed, printed
@@ -106,20 +106,20 @@ def test_every_leader_reports_the_clock_offset_of_a_peer(
         ), printed
 
         late.step(3600 * SECOND)
-        wait_until(lambda: shown(3600 * SECOND))
+        wait_until(lambda: shows_offset(3600 * SECOND))
         [leader] = [one for one in rt.supernodes() if one.is_leader]
         [process] = [one for one in cluster.supernodes if one.address == leader.endpoint]
         process.kill()
-        wait_until(lambda: shown(3600 * SECOND))
+        wait_until(lambda: shows_offset(3600 * SECOND))
         wait_until(lambda: any(not peer.alive for peer in rt.peers("robot/*", include_dead=True)))
         states = {peer.name: (peer.alive, peer.clock is None) for peer in rt.peers("robot/*", include_dead=True)}
         assert states["robot/gone"] == (False, True)
 
 
 async def test_the_asyncio_client_reports_the_clock_offset_of_a_peer(
-    cluster: LocalCluster, robot: Callable[[str, int], ClockedPeer]
+    cluster: LocalCluster, start_robot: Callable[[str, int], ClockedPeer]
 ) -> None:
-    early = robot("robot/early", 90 * SECOND)
+    early = start_robot("robot/early", 90 * SECOND)
     async with aio.connect(cluster.address) as rt, asyncio.timeout(PATIENCE_SECONDS):
         while not (known := [peer.clock for peer in await rt.peers(early.name) if peer.clock is not None]):
             await asyncio.to_thread(threading.Event().wait, 0.05)

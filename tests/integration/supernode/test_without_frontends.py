@@ -1,4 +1,4 @@
-"""Clients need a front-end only at their start: without any front-end, bound clients go on."""
+"""Clients need a front-end only at their start: connected clients continue without any front-end."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def rt(cluster: LocalCluster) -> Iterator[st.Connection]:
         yield connection
 
 
-def bound(cluster: LocalCluster, address: str) -> BindResponse:
+def bind_response(cluster: LocalCluster, address: str) -> BindResponse:
     ports = EndpointPool(Credentials(secret=read_secret(cluster.secret_file)))
     try:
         port = ports.to(address)
@@ -36,7 +36,7 @@ def bound(cluster: LocalCluster, address: str) -> BindResponse:
 def test_clients_reach_new_channels_hosts_and_supernodes_without_front_ends(
     cluster: LocalCluster, rt: st.Connection
 ) -> None:
-    first, second = (bound(cluster, address) for address in cluster.address.split(","))
+    first, second = (bind_response(cluster, address) for address in cluster.address.split(","))
     assert (first.cluster_id, ids(first)) == (second.cluster_id, ids(second))
     assert ids(first) == ["s1", "s2", "s3"]
 
@@ -55,7 +55,7 @@ def test_clients_reach_new_channels_hosts_and_supernodes_without_front_ends(
     other.put(b"new")
     assert [item.payload for item in other.get(st.OLDEST, st.NEWEST)] == [b"new"]
 
-    # The owner is cached; the channel is deleted and made anew elsewhere, so the cache is stale. The client asks anew.
+    # The client has cached the owner. The new channel of that name has another owner, so the client must ask again.
     other.delete()
     moved_channel = rt.channel("bound/after", max_age="1h", host="h1")
     moved_channel.put(b"elsewhere")

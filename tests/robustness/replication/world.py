@@ -36,7 +36,7 @@ TIMING = RaftTiming(tick_seconds=0.05)
 
 
 class World:
-    """Time, members and connections. `at` plans a call; `run_until` lets time pass."""
+    """Time, members and connections. `at` plans a call; `run_until` lets time pass. Times are in seconds."""
 
     def __init__(
         self,
@@ -53,7 +53,7 @@ class World:
         self.fault_rates = fault_rates
         self.rules = rules
         self.snapshot_every = snapshot_every
-        # By default few entries, so that a member that lags behind gets snapshots.
+        # By default the log keeps few entries, so that a member that lags behind gets snapshots.
         self.kept_log_bytes = kept_log_bytes
         self.now = 0.0
         self.timing = timing
@@ -143,7 +143,7 @@ class World:
             replica.deliver(MembersReported(to, receiver.roster.members))
 
     def fault(self, sender: str, receiver: str, why: str) -> None:
-        """Fail, because each member keeps the rules, unless hostile peers have misled it."""
+        """Raises PromiseBroken, because no member may break the rules, unless hostile peers have misled it."""
         if sender in self.members and not self.may_be_misled:
             raise PromiseBroken(f"{receiver} finds {sender} at fault: {why}")
 
@@ -268,8 +268,8 @@ class World:
                 assert isinstance(outcome, OutcomeUnknown)
 
         assert member.replica is not None
-        later = Proposal(command, self.now + timeout, lambda outcome: member.after_disk(lambda: done(outcome)))
-        member.replica.propose(later)
+        proposal = Proposal(command, self.now + timeout, lambda outcome: member.after_disk(lambda: done(outcome)))
+        member.replica.propose(proposal)
         return outcomes
 
     def change(self, leader: SimMember, member: Member, *, is_removal: bool) -> list[ChangeOutcome]:
@@ -282,8 +282,8 @@ class World:
                 self.removed.add(member.member_id)
 
         assert leader.replica is not None
-        later = MemberChange(member, is_removal, lambda outcome: leader.after_disk(lambda: done(outcome)))
-        leader.replica.change_members(later)
+        member_change = MemberChange(member, is_removal, lambda outcome: leader.after_disk(lambda: done(outcome)))
+        leader.replica.change_members(member_change)
         return outcomes
 
     def read(self, member: SimMember, *, timeout: float) -> list[int | None]:

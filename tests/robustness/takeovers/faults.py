@@ -51,25 +51,25 @@ class Faults:
             if isinstance(one, Exception) and not isinstance(one, StampedeError):
                 raise one
 
-    def _lasts(self) -> float:
+    def _duration_seconds(self) -> float:
         return self.rng.choice((0.3, 1.0, 2.0, 4.5, 8.0)) * self.rng.uniform(0.8, 1.2)
 
     async def kill(self, number: int) -> None:
         if self.cluster.hosts[number].alive:
             self.cluster.kill(number)
-            await asyncio.sleep(self._lasts())
+            await asyncio.sleep(self._duration_seconds())
             if not self.cluster.hosts[number].alive:
                 self.cluster.start(number)
 
     async def stop(self, number: int) -> None:
         host = self.cluster.hosts[number]
         host.running.clear()
-        await asyncio.sleep(self._lasts())
+        await asyncio.sleep(self._duration_seconds())
         host.running.set()
 
     async def slow(self, number: int) -> None:
         self.cluster.slow_s[number] = self.rng.choice((0.1, 0.3, 0.7, 1.5))
-        await asyncio.sleep(self._lasts())
+        await asyncio.sleep(self._duration_seconds())
         self.cluster.slow_s.pop(number, None)
 
     async def kill_behind_slow_links(self, number: int) -> None:
@@ -115,23 +115,23 @@ class Faults:
             self.cluster.kill(owner)
         self.cluster.cut_off.discard(owner)
         self.cluster.cut_pairs.clear()
-        await asyncio.sleep(self._lasts())
+        await asyncio.sleep(self._duration_seconds())
         if not self.cluster.hosts[owner].alive:
             self.cluster.start(owner)
 
     async def cut(self, number: int) -> None:
         other = self.rng.choice([one for one in self.cluster.hosts if one != number])
         self.cluster.cut(number, other)
-        await asyncio.sleep(self._lasts())
+        await asyncio.sleep(self._duration_seconds())
         self.cluster.cut_pairs.discard(frozenset((number, other)))
 
     async def cut_off(self, number: int) -> None:
         self.cluster.cut_off.add(number)
-        await asyncio.sleep(self._lasts())
+        await asyncio.sleep(self._duration_seconds())
         self.cluster.cut_off.discard(number)
 
     async def change_leader(self, number: int) -> None:
         self.cluster.is_cut_off = True
-        await asyncio.sleep(min(self._lasts(), 4.8))
+        await asyncio.sleep(min(self._duration_seconds(), 4.8))
         self.cluster.another_leader()
         self.cluster.is_cut_off = False

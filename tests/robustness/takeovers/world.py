@@ -134,7 +134,7 @@ class Cluster(World):
         return self.log.directory.tables.channels[self.channel_id]
 
     def renew(self, host: Host) -> bool:
-        """Whether the directory has prolonged the lease."""
+        """Whether the directory has renewed the lease."""
         known = self.log.directory.tables.hosts.get(host.identity.host_id)
         if known is None or not known.alive or known.boot_incarnation != host.identity.boot_incarnation:
             return False

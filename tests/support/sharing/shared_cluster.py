@@ -50,7 +50,7 @@ def empty(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, secret=cluster.secret.text) as rt:
         for group in rt.groups():
             rt.group(group.name).delete()
-        # a queue of dead letters can go once no other queue names it
+        # the directory deletes a dead-letter queue only if no other queue names it
         for queue in sorted(rt.queues(), key=lambda one: one.policy.dead_letter_queue_id is None):
             rt.queue(queue.name).delete()
         for channel in rt.channels():

@@ -1,4 +1,4 @@
-"""`stampede record`: it records channels to a file, and each event of a channel to a file of its own."""
+"""`stampede record`: records channels to a file. With `--on` it writes a file for each item (event) of a channel."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def run_record(arguments: argparse.Namespace) -> int:
             _print_start(recorder, arguments)
             with shown_progress(recording_progress(recorder, arguments.for_)):
                 summary = recorder.wait()
-    return _ended(summary, arguments)
+    return _print_result(summary, arguments)
 
 
 def _begin_recording(rt: Connection, arguments: argparse.Namespace, path: Path, begin: Bound | None) -> Recorder:
@@ -84,7 +84,7 @@ def _begin_recording(rt: Connection, arguments: argparse.Namespace, path: Path, 
 
 
 def _begin_of(since: str | None, event: Bound) -> Bound | None:
-    """Return where a recording begins. `event`: the instant from which `--since` counts."""
+    """Return the begin of a recording; None: now. `event`: the instant from which `--since` counts."""
     return None if since is None else OLDEST if since == "oldest" else event - since
 
 
@@ -93,12 +93,12 @@ def recording_progress(recorder: Recorder, for_: str | None) -> Callable[[], Pro
     began_s = time.monotonic()
     length_s = None if for_ is None else parse_duration(for_, "--for") / 1e9
 
-    def look() -> Progress:
+    def progress() -> Progress:
         passed_s = time.monotonic() - began_s
         share = passed_s / length_s if length_s else None
         return share, f"{recorder.recorded} items of {len(recorder.channels)} channels in {passed_s:.0f} s"
 
-    return look
+    return progress
 
 
 def _print_start(recorder: Recorder, arguments: argparse.Namespace) -> None:
@@ -108,7 +108,7 @@ def _print_start(recorder: Recorder, arguments: argparse.Namespace) -> None:
     print(f"stampede: recording {shown or 'no channel yet'} to {escaped(arguments.file)} {until}", file=sys.stderr)
 
 
-def _ended(summary: RecordingSummary | None, arguments: argparse.Namespace) -> int:
+def _print_result(summary: RecordingSummary | None, arguments: argparse.Namespace) -> int:
     assert summary is not None, "the recording has no limit of time here"
     print_summary(summary, arguments.output)
     return 0 if summary.complete else INCOMPLETE
@@ -200,23 +200,25 @@ class _EventRecordings:
         return INCOMPLETE if self._incomplete else 0
 
     def _follow(self) -> bool:
-        """Begin a recording for each event. Returns whether the events go on, after the loss of their host."""
+        """Begin a recording for each event until the subscription ends. Returns True if it has subscribed again."""
         with self._events as events:
             try:
                 for item in events:
                     self._since = item.time + 1
                     self._begin(item)
             except IncarnationLost as error:
-                self._miss(f"events may be missing: {error}")
+                self._note_missing(f"events may be missing: {error}")
         if events.dropped:
-            self._miss(f"{events.dropped} events have no file: they left {self._arguments.on} before they were read")
+            self._note_missing(
+                f"{events.dropped} events have no file: they left {self._arguments.on} before the command read them"
+            )
         with self._mutex:
             continues = not self._stopping and self._error is None
             if continues:
                 self._events = self._channel.subscribe(start=self._since)
             return continues
 
-    def _miss(self, what: str) -> None:
+    def _note_missing(self, what: str) -> None:
         self._incomplete = True
         print(escaped(f"stampede: {what}"), file=sys.stderr)
 
@@ -237,12 +239,12 @@ class _EventRecordings:
             if self._stopping:
                 return
             if len(self._running) >= PARALLEL_RECORDINGS_MAX:
-                self._miss(f"event #{seq} has no file: {PARALLEL_RECORDINGS_MAX} recordings are under way")
+                self._note_missing(f"event #{seq} has no file: {PARALLEL_RECORDINGS_MAX} recordings are under way")
                 return
             try:
                 recorder = _begin_recording(self._rt, self._arguments, self._path_of(seq), begin)
             except StampedeError as error:
-                self._miss(f"event #{seq} has no file: {error}")
+                self._note_missing(f"event #{seq} has no file: {error}")
                 return
             thread = threading.Thread(target=self._record, args=(recorder,), daemon=True)
             self._running[recorder] = thread
@@ -252,7 +254,7 @@ class _EventRecordings:
         try:
             summary = recorder.wait()
             with self._mutex:
-                self._incomplete |= _ended(summary, self._arguments) == INCOMPLETE
+                self._incomplete |= _print_result(summary, self._arguments) == INCOMPLETE
                 sys.stdout.flush()
         except StampedeError as error:
             self._error = self._error or error

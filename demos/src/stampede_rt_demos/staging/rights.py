@@ -31,7 +31,7 @@ def caller_name(role: str) -> str:
     return role.replace(" ", "-")
 
 
-def of_operator(cluster: LocalCluster) -> dict[str, Any]:
+def operator_credentials(cluster: LocalCluster) -> dict[str, Any]:
     """The `secret` and `tls` with which the demo itself calls the cluster, as an operator."""
     files = cluster.tls_files("demo", Role.OPERATOR)
     return {"secret": None if files else cluster.secret.text, "tls": files}
@@ -42,8 +42,8 @@ def hand_out(
 ) -> dict[str, dict[str, str]]:
     """Make the rules, and a token or certificate for each role. Returns each role's environment.
 
-    `operator`: see `of_operator`. The rules are in force on return. The roles get certificates if the cluster has
-    certificates.
+    `operator`: see `operator_credentials`. The rules are in force on return. The roles get certificates if the cluster
+    has certificates.
 
     Each role may also register the peer of its own name. Raises DemoFailed, StampedeError.
     """

@@ -14,7 +14,7 @@ from stampede_rt_demos.staging.clip import decode_clock
 from stampede_rt_demos.staging.film import locate_film
 from stampede_rt_demos.staging.messages import Message
 from stampede_rt_demos.staging.progress import Progress
-from stampede_rt_demos.staging.rights import Right, hand_out, of_operator
+from stampede_rt_demos.staging.rights import Right, hand_out, operator_credentials
 from stampede_rt_demos.staging.role_processes import RoleProcesses, role_command
 from stampede_rt_demos.staging.schedule import NANOS_PER_SECOND, LoopedClock
 from stampede_rt_demos.stereo.programme import (
@@ -83,7 +83,7 @@ def conduct(seconds: int, progress: Progress, *, certificates: bool = False) -> 
 
 
 def _run(cluster: LocalCluster, seconds: int, progress: Progress) -> tuple[Mapping[str, Message], Sequence[bytes]]:
-    operator = of_operator(cluster)
+    operator = operator_credentials(cluster)
     with st.connect(cluster.address, **operator) as rt:
         _set_up(rt)
         environments = hand_out(cluster, RIGHTS, operator)

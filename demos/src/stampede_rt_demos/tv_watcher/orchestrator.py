@@ -15,7 +15,7 @@ from stampede_rt_demos.failures import DemoFailed, one_sentence
 from stampede_rt_demos.staging import messages
 from stampede_rt_demos.staging.film import locate_film
 from stampede_rt_demos.staging.progress import Progress
-from stampede_rt_demos.staging.rights import Right, hand_out, of_operator
+from stampede_rt_demos.staging.rights import Right, hand_out, operator_credentials
 from stampede_rt_demos.staging.role_processes import RoleProcesses, role_command
 from stampede_rt_demos.staging.schedule import NANOS_PER_SECOND
 from stampede_rt_demos.tv_watcher import steps
@@ -118,7 +118,7 @@ def _run_programme(
     cluster: LocalCluster, seconds: int, progress: Progress
 ) -> tuple[_CollectedReports, Mapping[str, int], Mapping[str, str]]:
     """Run the roles in the running cluster. Returns their reports, the accepted items and the host of each stream."""
-    operator = of_operator(cluster)
+    operator = operator_credentials(cluster)
     with st.connect(cluster.address, name="orchestrator", **operator) as rt:
         channels = _create_channels(rt)
         environments = hand_out(cluster, RIGHTS, operator)

@@ -1,4 +1,4 @@
-"""A recovered file says which items it may lack, also if nobody can know them exactly."""
+"""A recovered file names the items that it may lack, even if nobody can know them exactly."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_messages_are_recovered_although_the_chunk_that_names_their_topics_is_da
     assert begun == f"the file is damaged at byte {chunks[0][0]}: its checksum does not match its content"
 
 
-def test_each_damaged_chunk_of_a_torn_file_leaves_a_file_that_says_so(
+def test_a_file_recovered_from_a_torn_file_reports_each_damaged_chunk(
     whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     chunks, saved = chunks_of(whole), tmp_path / "saved.mcap"
@@ -84,7 +84,7 @@ def test_each_damaged_chunk_of_a_torn_file_leaves_a_file_that_says_so(
             assert "so items of channels that it does not name may be missing" in printed
 
 
-def test_the_parts_of_a_recovered_file_say_it_too(whole: Path, tmp_path: Path) -> None:
+def test_the_parts_of_a_recovered_file_also_report_its_damage(whole: Path, tmp_path: Path) -> None:
     saved, part, both = (tmp_path / name for name in ("saved.mcap", "part.mcap", "both.mcap"))
     notes = recover(damaged(whole, 50, chunks_of(whole)[-1][1]), saved).summary.damaged
     assert len(notes) == 1
@@ -108,7 +108,7 @@ def test_in_a_merge_the_unknown_end_of_a_torn_file_begins_after_the_adjacent_ite
     assert [(one.first_seq, one.last_seq) for one in after.gaps] == [(unknown_from, None)]
 
 
-def test_a_file_that_is_damaged_only_behind_its_summary_loses_nothing(
+def test_a_file_that_is_damaged_only_after_its_summary_loses_nothing(
     whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     content, saved, copy = whole.read_bytes(), tmp_path / "saved.mcap", tmp_path / "torn.mcap"
@@ -165,7 +165,9 @@ def test_a_recovered_file_of_another_program_names_its_losses(
 
 
 @pytest.mark.parametrize("has_end", [True, False])
-def test_a_policy_is_lost_only_if_both_its_chunk_and_the_end_of_the_file_are(tmp_path: Path, has_end: bool) -> None:
+def test_a_policy_is_lost_only_if_its_chunk_is_damaged_and_the_end_of_the_file_is_missing(
+    tmp_path: Path, has_end: bool
+) -> None:
     kind = Topic("cam", "application/octet-stream", INCARNATION, metadata=((POLICY_KEY, '{"max_items":7}'),))
     path, saved = write(tmp_path / "a.mcap", [item_entry(kind, item(seq)) for seq in ITEMS]), tmp_path / "saved.mcap"
     chunks = chunks_of(path)

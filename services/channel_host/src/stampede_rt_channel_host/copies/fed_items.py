@@ -30,7 +30,7 @@ def encode_item(fed: FedItem) -> bytes:
     head = _HEAD.encode(*item[:8])  # from `seq` to `judged_at`
     floor = b"" if fed.collected is None else _encode_floor(fed.collected)
     count = b"" if item.items == 1 else _ITEMS.encode(item.items)
-    return _ITEM.around(head, floor, count, _RUN.head(len(body)), body)
+    return _ITEM.encode(head, floor, count, _RUN.head(len(body)), body)
 
 
 def _encode_floor(new: NewFloor) -> bytes:
@@ -96,5 +96,5 @@ def encode_answer(next_seq: int) -> bytes:
 
 def read_answer(raw: bytes | memoryview) -> int:
     """The `next_seq` of `encode_answer`; 0 for all other requests."""
-    (next_seq,) = _ANSWER.read_only(raw) or (0,)
+    (next_seq,) = _ANSWER.read_whole(raw) or (0,)
     return next_seq

@@ -37,7 +37,7 @@ class FixedFields:
         found = self._struct.unpack_from(raw, at)
         return found[1::2] if found[::2] == self._tags else None
 
-    def read_only(self, raw: bytes | memoryview) -> tuple[int, ...] | None:
+    def read_whole(self, raw: bytes | memoryview) -> tuple[int, ...] | None:
         """Read a message that has only these fields. None for all other messages."""
         return self.read(raw) if len(raw) == self.size_bytes and raw[0] == self.first_tag else None
 
@@ -53,7 +53,7 @@ class LongField:
         """The encoded bytes before a value of this length."""
         return self._tag_bytes + encode_varint(length)
 
-    def around(self, *parts: bytes) -> bytes:
+    def encode(self, *parts: bytes) -> bytes:
         """The encoded field with a value of several parts."""
         return b"".join((self.head(sum(map(len, parts))), *parts))
 

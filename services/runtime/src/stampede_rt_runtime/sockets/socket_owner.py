@@ -14,10 +14,10 @@ class SocketOwner(Protocol[Connection]):
     """Learns of the events of its connections."""
 
     def opened(self, connection: Connection, opening: pb.StreamOpening) -> None:
-        """Called when the opening has come. May raise a StampedeError."""
+        """The connection calls this when it has received the opening. May raise a StampedeError."""
 
     def failed(self, connection: Connection, error: StampedeError) -> None:
-        """Called when the peer has broken the rules of frames. The owner must call `end`."""
+        """The connection calls this when the peer has broken the rules of frames. The owner must call `end`."""
 
     def lost(self, connection: Connection) -> None:
-        """Called when the peer has gone, or the connection was closed here."""
+        """The connection calls this when the peer has gone, or when this process has closed the connection."""

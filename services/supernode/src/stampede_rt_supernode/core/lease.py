@@ -153,7 +153,7 @@ class LeaseTable:
             self._ending.pop(holder_id, None)
 
     def renew(self, holder: RegisteredHolder, received: int, clock: ClockOffset | None = None) -> bool:
-        """Prolong the lease of a live holder's registration to `received` + TTL.
+        """Renew the lease of a live holder's registration to `received` + TTL.
 
         Returns False if the end of the lease is already proposed: then only a new registration helps. `clock` is the
         holder's report of its clock. Call this, and acknowledge the renewal, only after a confirmed read that began
@@ -179,7 +179,7 @@ class LeaseTable:
     def due(self, now: int) -> list[tuple[bytes, int, int]]:
         """The (holder id, boot incarnation, registered index) of leases that have run out, LOOKS_MAX at most.
 
-        From now on `renew` refuses to prolong them. Later calls return a lease again, because a proposal can fail. They
+        From now on `renew` refuses to renew them. Later calls return a lease again, because a proposal can fail. They
         stop when its holder is noted as gone, or registers again. If the last call was more than TTL / STALL_FRACTION
         ago, every other lease lasts for a full TTL from `now`. One call looks at LOOKS_MAX leases at most; see
         `is_behind`.

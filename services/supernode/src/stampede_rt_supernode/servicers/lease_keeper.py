@@ -1,4 +1,4 @@
-"""Grants, prolongs and ends the leases of hosts and peers, while this supernode leads.
+"""Grants, renews and ends the leases of hosts and peers, while this supernode leads.
 
 A thin shell around `core.lease`.
 """
@@ -46,7 +46,7 @@ T = TypeVar("T", HostRecord, PeerRecord)
 
 
 class PeerRenewal(NamedTuple):
-    """A peer's prolonged lease, and the leader's time, by which the peer measures its own clock."""
+    """A peer's renewed lease, and the leader's time, by which the peer measures its own clock."""
 
     ttl_nanos: int
     tenure: int
@@ -208,7 +208,7 @@ class LeaseKeeper:
     async def renew(
         self, host_id: bytes, boot_incarnation: int, registered_index: int, *, seconds: float
     ) -> tuple[int, int]:
-        """Prolong the lease of a host. Returns its TTL in nanoseconds and the tenure.
+        """Renew the lease of a host. Returns its TTL in nanoseconds and the tenure.
 
         `registered_index`: the registration that the host knows; 0: it does not state one. Raises NotLeader,
         LeaseExpired (register again), or Unavailable with reason NO_QUORUM.

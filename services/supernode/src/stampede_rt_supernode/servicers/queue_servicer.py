@@ -47,7 +47,7 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
         """Open a queue. If nothing changes, a confirmed read answers the first attempt without a log entry."""
         as_of = self._calls.applied_index()
         check_known(AccessKind.QUEUE, request.name)
-        spec = await self._checked(context, request.name, request.spec)
+        spec = await self._checked_spec(context, request.name, request.spec)
         operation = OpenQueue(
             name=request.name,
             spec=spec,
@@ -96,7 +96,7 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
     async def UpdateQueue(self, request: pb.UpdateQueueRequest, context: Context) -> pb.UpdateQueueResponse:
         await self._calls.check_thing(context, AccessVerb.CONFIGURE, AccessKind.QUEUE, request.queue_id)
         await self._check_dead_letter(context, request.spec)
-        spec = await self._checked(context, request.queue_id.hex(), request.spec)
+        spec = await self._checked_spec(context, request.queue_id.hex(), request.spec)
         operation = UpdateQueue(queue_id=request.queue_id, epoch=request.epoch, spec=spec)
         updated = await self._calls.submit(context, operation, QueueUpdated, request.request_id)
         return pb.UpdateQueueResponse(queue=queue_record(updated.queue))
@@ -145,10 +145,10 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
             applied_index=page.applied_index,
         )
 
-    async def _checked(self, context: Context, queue: str, stated: queue_pb2.QueueSpec) -> QueueSpec:
-        """The stated policy.
+    async def _checked_spec(self, context: Context, queue: str, stated: queue_pb2.QueueSpec) -> QueueSpec:
+        """Return the stated policy.
 
-        Raises InvalidArgument, also if it has replicas and the feature level is below QUEUE_REPLICAS_LEVEL.
+        Raises InvalidArgument, also if the policy has replicas and the feature level is below QUEUE_REPLICAS_LEVEL.
         """
         spec = queue_spec_from(stated)
         check_max_bytes("queue", queue, spec.max_bytes)

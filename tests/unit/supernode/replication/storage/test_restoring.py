@@ -21,11 +21,11 @@ from tests.support.supernode.list_machine import ListMachine
 from tests.support.supernode.live_cluster import QUICK, LiveCluster, LiveMember, dial, running
 
 
-async def done(ask: Callable[[], Awaitable[object]]) -> None:
-    """Repeat `ask` until the log performs it. The leader may change at any time."""
+async def perform(call: Callable[[], Awaitable[object]]) -> None:
+    """Repeat `call` until the log performs it. The leader may change at any time."""
     while True:
         with suppress(OutcomeUnknown, LogUnavailable):
-            await ask()
+            await call()
             return
 
 
@@ -33,8 +33,8 @@ async def test_one_supernode_of_three_becomes_a_cluster_of_one_that_holds_its_wh
     async with LiveCluster(3, tmp_path / "old", snapshot_every=10) as cluster:
         survivor = cluster.all[0]
         for number in range(25):
-            await done(partial(running(survivor).propose, b"%d" % number, timeout=5.0))
-        await done(partial(running(survivor).confirm_read, timeout=5.0))
+            await perform(partial(running(survivor).propose, b"%d" % number, timeout=5.0))
+        await perform(partial(running(survivor).confirm_read, timeout=5.0))
         held = survivor.machine.entries[:]
     failures: list[BaseException] = []
     founder = LiveMember("new", tmp_path / "new", failures.append)

@@ -35,7 +35,7 @@ def encode_put(put: AheadPut) -> bytes:
         put.number, put.seq, put.producer_id, put.first_number, stamped or 0, put.length, stamped is not None
     )
     owner = put.owner.encode()
-    return _PUT.around(head, _OWNER.head(len(owner)), owner, _RUN.head(len(put.body)), put.body)
+    return _PUT.encode(head, _OWNER.head(len(owner)), owner, _RUN.head(len(put.body)), put.body)
 
 
 def read_put(raw: bytes | memoryview) -> AheadPut:
@@ -79,5 +79,5 @@ def encode_answer(next_step: int) -> bytes:
 
 def read_answer(raw: bytes | memoryview) -> pb.FeedQueueResponse | int:
     """The answer of a copy. The `next_step` of `encode_answer`, or any other answer. Raises DecodeError."""
-    found = _ANSWER.read_only(raw)
+    found = _ANSWER.read_whole(raw)
     return pb.FeedQueueResponse.FromString(bytes(raw)) if found is None else found[0]
