@@ -21,6 +21,7 @@ from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
 from stampede_rt_channel_host.channels.sweep import Sweep
 from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.core.channel.pieces import run_to_end
+from stampede_rt_channel_host.core.deadlines import OUTDATED_PER_CALL_MAX
 from stampede_rt_channel_host.core.dedup import KEPT_NANOS
 from tests.support.clock import ManualClock
 
@@ -62,6 +63,24 @@ async def test_a_sweep_collects_items_beyond_the_age_but_keeps_the_newest_one() 
     assert channel.channel.collect(host.clock.time_unix_nano()) is False  # nothing is left to free
     assert channel.channel.counters(host.clock.time_unix_nano()).collected["age"] == 1999
     assert host.memory.used_bytes == channel.footprint_bytes() == 64 + len(b"x") + _overhead(b"x")
+
+
+def test_a_put_frees_a_due_item_although_the_deadlines_of_many_channels_have_changed() -> None:
+    """A search for deadlines skips a limited number of changed ones in one call."""
+    host = Host()
+    due, *others = (host.open(Policy(max_age_nanos=S)) for _ in range(3 * OUTDATED_PER_CALL_MAX))
+    host.put(due, b"x" * 1000)
+    host.clock.advance(1)
+    host.put(due, b"x")
+    while host.sweep.reclaim():
+        pass
+    for other in others:
+        host.sweep._deadlines.arm(other, host.clock.time_unix_nano())
+        host.sweep._deadlines.arm(other, host.clock.time_unix_nano() + 100 * S)
+    host.clock.advance(2 * S)
+    host.memory.bytes_max = host.memory.used_bytes
+    host.memory.claim(1000)
+    assert due.channel.counters(host.clock.time_unix_nano()).collected["age"] == 1
 
 
 def _overhead(payload: bytes) -> int:

@@ -71,7 +71,8 @@ class Sweep:
         for _ in range(CHANNELS_PER_STEP_MAX):
             hosted = next_channel()
             if hosted is None:
-                return False
+                due = self._deadlines.next()
+                return due is not None and due <= self._now()  # there were too many changed deadlines for one call
             before = hosted.core.freed_entries
             more = self._look_at(hosted)
             freed_entries += hosted.core.freed_entries - before
