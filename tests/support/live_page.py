@@ -27,7 +27,7 @@ class LivePage:
         self.url = url
 
     def ask(self, path: str, **parameters: Any) -> tuple[int, dict[str, Any]]:
-        """Return the status and the JSON of an answer. A list gives its parameter several times."""
+        """Return the status and the JSON of an answer. A parameter with a list is sent once for each value."""
         try:
             with urlopen(f"{self.url}api/{path}?{urlencode(parameters, doseq=True)}", timeout=ANSWER_SECONDS) as answer:
                 return answer.status, json.load(answer)
@@ -51,7 +51,7 @@ def live_page(cluster_address: str, *arguments: str) -> Iterator[LivePage]:
 
 
 def eventually(find: Callable[[], Found | None]) -> Found:
-    """Call `find` until it returns something, and return that. Fails after the time of `wait_until`."""
+    """Call `find` until it returns a true value, and return the value. Fails after the time of `wait_until`."""
     found: list[Found] = []
 
     def holds() -> bool:

@@ -16,7 +16,7 @@ def wait_until(holds: Callable[[], object], what: str = "", within_seconds: floa
     """Return as soon as `holds()` is true. Fails the test if it is not true in time."""
     deadline, pause = time.monotonic() + within_seconds, threading.Event()
     while not holds():
-        assert time.monotonic() < deadline, f"not so after {within_seconds:g} s: {what or holds}"
+        assert time.monotonic() < deadline, f"not true after {within_seconds:g} s: {what or holds}"
         pause.wait(PAUSE_SECONDS)
 
 
@@ -24,10 +24,10 @@ async def until(holds: Callable[[], object], what: str = "", within_seconds: flo
     """Return as soon as `holds()` is true. The event loop runs meanwhile. Fails the test if it is not true in time."""
     deadline = time.monotonic() + within_seconds
     while not holds():
-        assert time.monotonic() < deadline, f"not so after {within_seconds:g} s: {what or holds}"
+        assert time.monotonic() < deadline, f"not true after {within_seconds:g} s: {what or holds}"
         await pause(PAUSE_SECONDS)
 
 
 async def pause(seconds: float = CHECK_SECONDS) -> None:
-    """Wait between two checks of a condition. Without a pause they keep two cores busy, here and in the service."""
+    """Wait between two checks of a condition. Without it the checks keep two cores busy, here and in the service."""
     await asyncio.wait({asyncio.get_running_loop().create_future()}, timeout=seconds)

@@ -25,8 +25,8 @@ class Pair(NamedTuple):
     other: QueueRig
     queue: OpenedQueue
 
-    def moves(self) -> Any:
-        """Have the other host take the queue over."""
+    def begin_move(self) -> Any:
+        """Begin the move of the queue to the other host. Returns a task."""
         return asyncio.ensure_future(self._move())
 
     async def allow(self) -> None:
@@ -74,7 +74,7 @@ async def payloads(queue: OpenedQueue) -> list[bytes]:
 async def test_a_taker_whose_stream_ends_settles_at_the_new_host(pair: Pair) -> None:
     taker = pair.queue.take(taker_id=5, credit=1)
     (first,) = await taker.deliveries(1)
-    await pair.moves()
+    await pair.begin_move()
     assert await taker.ended() is grpc.StatusCode.FAILED_PRECONDITION
     (result,) = await pair.at_other().settle(ack(first), taker_id=5)
     assert not result.HasField("error")
@@ -85,12 +85,12 @@ async def test_a_taker_whose_stream_ends_settles_at_the_new_host(pair: Pair) -> 
 async def test_a_move_that_is_cut_before_the_commit_leaves_the_queue_where_it_was(
     pair: Pair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fails(*_: Any) -> Any:
+    def fail(*_: Any) -> Any:
         raise queue_arrivals.Unavailable("the other host has a defect")
 
-    monkeypatch.setattr(queue_arrivals.QueueArrivals, "_restored", fails)
+    monkeypatch.setattr(queue_arrivals.QueueArrivals, "_restored", fail)
     with pytest.raises(grpc.aio.AioRpcError, match="has a defect"):
-        await pair.moves()
+        await pair.begin_move()
     status = await pair.queue.status()  # waits for the end of the move
     assert (status.counters.held, pair.at_source().record.epoch) == (3, 2)
     assert await payloads(pair.at_source()) == [
@@ -106,12 +106,12 @@ async def test_a_host_without_an_answer_to_its_commit_asks_the_directory(
     """The host may not take the queue back, because the other host serves the queue."""
     served = queue_handover.QueueHandovers._hand_over
 
-    async def hears_nothing(self: Any, hosted: Any, host_id: bytes, context: Any) -> bool:
+    async def lose_answer(self: Any, hosted: Any, host_id: bytes, context: Any) -> bool:
         await served(self, hosted, host_id, context)
         return False
 
-    monkeypatch.setattr(queue_handover.QueueHandovers, "_hand_over", hears_nothing)
-    await pair.moves()
+    monkeypatch.setattr(queue_handover.QueueHandovers, "_hand_over", lose_answer)
+    await pair.begin_move()
     assert await payloads(pair.at_other()) == [b"a", b"b", b"c"]
     with pytest.raises(grpc.aio.AioRpcError, match="is at host"):
         await pair.queue.status()
@@ -124,13 +124,13 @@ async def test_calls_wait_for_the_move_and_are_refused_after_a_while(
     reached, may_continue = asyncio.Event(), asyncio.Event()
     taken_over = queue_arrivals.QueueArrivals._take_over
 
-    async def waits(self: Any, record: Any, core: Any, permit: bytes) -> Any:
+    async def wait(self: Any, record: Any, core: Any, permit: bytes) -> Any:
         reached.set()
         await may_continue.wait()
         return await taken_over(self, record, core, permit)
 
-    monkeypatch.setattr(queue_arrivals.QueueArrivals, "_take_over", waits)
-    move = pair.moves()
+    monkeypatch.setattr(queue_arrivals.QueueArrivals, "_take_over", wait)
+    move = pair.begin_move()
     await reached.wait()
     with pytest.raises(grpc.aio.AioRpcError, match="takes too long"):
         await pair.queue.status()

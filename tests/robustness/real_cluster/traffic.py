@@ -57,10 +57,13 @@ class Traffic:
         """Whether puts into the channels wait for replicas."""
         return self._policy.get("ack") == "replica"
 
-    async def run(self, began: float) -> None:
-        """Put and read until cancelled. Uses a few channels at a time, and new ones after NAMES_CHANGE_SECONDS."""
+    async def run(self, began_s: float) -> None:
+        """Put and read until cancelled. Uses a few channels at a time, and new ones after NAMES_CHANGE_SECONDS.
+
+        `began_s`: the start of the campaign, by the monotonic clock.
+        """
         while True:
-            age = int((time.monotonic() - began) / NAMES_CHANGE_SECONDS)
+            age = int((time.monotonic() - began_s) / NAMES_CHANGE_SECONDS)
             await self.once(f"robust-data/{age}-{self._random_source.randrange(NAMES_IN_USE)}")
             await asyncio.sleep(self._random_source.uniform(0, 2 * PAUSE_SECONDS))
 

@@ -46,24 +46,24 @@ def cross_section(
     found = {reference.info.channel_id: held}
     if held:
 
-        def beside(other: Key) -> Items:
+        def read_beside(other: Key) -> Items:
             left = wait.after(clock_s() - began_s)
-            how = {"complete": complete, "payloads": payloads, "timeout": left.seconds, "as_of": as_of}
-            return _beside(other, held[-1], over, how)
+            get_arguments = {"complete": complete, "payloads": payloads, "timeout": left.seconds, "as_of": as_of}
+            return _read_beside(other, held[-1], over, get_arguments)
 
         ids = (other.info.channel_id for other in others)
-        reads = [functools.partial(beside, other) for other in others]
+        reads = [functools.partial(read_beside, other) for other in others]
         found |= dict(zip(ids, run_all(reads), strict=True))
     return CrossSection(time=held[-1].time if held else None, items=ByChannel([reference, *others], found))
 
 
-def _beside(other: Reader, item: Item, over: Over, how: Mapping[str, Any]) -> Items:
+def _read_beside(other: Reader, item: Item, over: Over, get_arguments: Mapping[str, Any]) -> Items:
     """Return the items of `other` at the time of `item` (`over` "start"), or during the span of `item` ("span").
 
-    If the span of `item` has no end yet, return the items up to now. `how`: further arguments of `get`.
+    If the span of `item` has no end yet, return the items up to now. `get_arguments`: further arguments of `get`.
     """
     end: BoundLike = item.time
     bounds: Bounds = "[]"
     if over == "span" and item.end != item.time:
         end, bounds = (NOW, "[]") if item.end is None else (item.end, "[)")
-    return other.get(item.time, end, bounds=bounds, **how)
+    return other.get(item.time, end, bounds=bounds, **get_arguments)

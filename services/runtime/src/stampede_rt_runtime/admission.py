@@ -110,13 +110,13 @@ class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, un
         return self._control.lacks_state and caller.is_judged and not why_refused(method, caller)
 
     def _caller(self, method: str, context: Context) -> Caller:
-        certificate = _certified(context) if self._accepted.cluster else None
+        certificate = _caller_certificate(context) if self._accepted.cluster else None
         if method in _WITHOUT_SECRET:
             return identify_by_certificate(self._accepted, certificate)
         return identify(self._accepted, _authorization(context), certificate)
 
 
-def _certified(context: Context) -> CallerCertificate | None:
+def _caller_certificate(context: Context) -> CallerCertificate | None:
     identity = caller_identity(context)
     found = tuple(context.auth_context().get("x509_pem_cert", ()))
     return None if identity is None else CallerCertificate(identity, *(_serial_and_end(found[0]) if found else ()))

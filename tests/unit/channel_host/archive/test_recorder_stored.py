@@ -17,8 +17,8 @@ from stampede_rt_channel_host.core.channel import ChannelCore, Offer, Slice, mak
 from tests.unit.channel_host.archive.test_host_archive_writes import FILES, archive_in, recorded, refuse
 
 
-async def written(recorder: ChannelRecorder) -> str:
-    """Wait until all items are on stable storage, or cannot come there. Returns the reason in that case."""
+async def wait_until_written(recorder: ChannelRecorder) -> str:
+    """Wait until all items are on stable storage, or cannot get there. Returns the reason in that case."""
     return await recorder.stored(1, recorder.archived_to + recorder.backlog_items, 60)
 
 
@@ -44,10 +44,10 @@ def test_a_wait_for_stable_storage_makes_the_archive_write_immediately(
         recorder, put = recorded(archive, tmp_path / "c")
         put()
         archive.hurry()
-        why = await written(recorder)
+        why = await wait_until_written(recorder)
         put()
         archive.hurry()
-        why += await written(recorder)
+        why += await wait_until_written(recorder)
         await archive.close([recorder])
         return why
 
@@ -68,9 +68,9 @@ def test_a_disk_failure_ends_the_waits_of_a_channel_with_the_reason_and_delays_n
             fault.setattr(broken.files, "write", refuse)
             put_broken()
             put_whole()
-            refused, kept, failing = await written(broken), await written(whole), archive.failure
+            refused, kept, failing = await wait_until_written(broken), await wait_until_written(whole), archive.failure
         await success_of(broken, monkeypatch).wait()  # the host tries again by itself
-        healed = await written(broken)
+        healed = await wait_until_written(broken)
         await archive.close([broken, whole])
         return refused, kept, failing, healed, archive.failure
 
@@ -90,7 +90,7 @@ def test_a_channel_that_fails_waits_for_its_next_try_without_the_writer(
         for _ in range(3):
             put_broken()
             put_whole()
-            answers.append(await written(whole))
+            answers.append(await wait_until_written(whole))
         archive.forget(broken)
         answers.append(archive.failure)
         await archive.close([whole])
@@ -105,13 +105,13 @@ def test_an_fsync_after_a_failed_fsync_fails_too(tmp_path: Path, monkeypatch: py
         monkeypatch.setattr("stampede_rt_channel_host.archive.host_archive.RETRY_SECONDS", 0.01)
         recorder, put = recorded(archive, tmp_path / "c")
         put()
-        assert await written(recorder) == ""
+        assert await wait_until_written(recorder) == ""
         with monkeypatch.context() as fault:
             fault.setattr(f"{FILES}.os.fsync", refuse)
             put()
-            refused = await written(recorder)
+            refused = await wait_until_written(recorder)
         await success_of(recorder, monkeypatch).wait()
-        healed = await written(recorder)
+        healed = await wait_until_written(recorder)
         await archive.close([recorder])
         return refused, healed
 
@@ -140,7 +140,7 @@ def test_items_that_memory_lost_before_they_were_written_are_never_stored(tmp_pa
     assert kept == ""
 
 
-def test_a_wait_ends_with_its_time_and_when_the_host_gives_the_channel_up(
+def test_a_wait_ends_after_its_time_limit_and_when_the_host_gives_the_channel_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def scenario() -> tuple[str, str]:

@@ -115,7 +115,7 @@ def test_a_joined_run_is_no_longer_than_a_producers_run() -> None:
     assert [len(run) for run in joined] == [RUN_BYTES_MAX // ITEM_BYTES_MAX, 60 - RUN_BYTES_MAX // ITEM_BYTES_MAX]
 
 
-def test_slices_end_at_the_ends_of_the_caller_and_count_the_stored_runs() -> None:
+def test_slices_end_at_the_ends_that_the_caller_gives_and_count_the_stored_runs() -> None:
     runs = all_stored([Put(), Put(), Put(), Put(items=2), Put()])
     slices = [Slice(run, 0, len(run)) for run in runs]
     found = [(part.items, count) for part, count in joined_slices(slices, ends={(102, 3)})]

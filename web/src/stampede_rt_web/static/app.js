@@ -14,13 +14,14 @@ const BEFORE_ALL = -(2n ** 63n); // an instant before all items
 const FUTURE_SHARE = 0.04; // the part of the window after now, in live mode
 
 const byId = (id) => document.getElementById(id);
+// `touched`: the user has chosen the shown cards. `aheadNanos`: by how much the server's clock is ahead of the browser's.
 const state = {
   overview: null, findings: null, tracks: Object.create(null), rows: new Map(), cards: new Map(), shown: new Set(), touched: false,
-  selected: null, seconds: 10, chosen: null, ahead: 0n, troubles: new Map(),
+  selected: null, seconds: 10, chosen: null, aheadNanos: 0n, troubles: new Map(),
 };
 
 // The host's time: the server's clock, as far as the page knows it.
-const now = () => BigInt(Math.round(performance.timeOrigin + performance.now())) * 1_000_000n + state.ahead;
+const now = () => BigInt(Math.round(performance.timeOrigin + performance.now())) * 1_000_000n + state.aheadNanos;
 
 function view() {
   const length = state.seconds * 1e9;
@@ -195,7 +196,7 @@ async function readTracks() {
   const width = Math.max(64, Math.min(2048, Math.round(byId("axis").clientWidth)));
   const answer = await ask("timeline", { channel: names, from: start, to: start + BigInt(Math.round(length)), width });
   const middle = BigInt(Math.round(performance.timeOrigin + (sent + performance.now()) / 2)) * 1_000_000n;
-  state.ahead = BigInt(answer.now) - middle;
+  state.aheadNanos = BigInt(answer.now) - middle;
   for (const [name, track] of Object.entries(answer.channels)) {
     state.tracks[name] = { marks: [], ...track, base: answer.base, lengthMicros: length / 1000 };
   }

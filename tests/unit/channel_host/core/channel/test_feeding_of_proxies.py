@@ -1,4 +1,4 @@
-"""The last run of a channel, as the next part of a feed without the owner's facts."""
+"""A feed without the owner's facts: the run that the source has stored last, as the next part."""
 
 from __future__ import annotations
 
@@ -66,12 +66,14 @@ def test_the_last_run_comes_in_a_part_if_the_copy_lacks_another_fact(
     assert len(part.slices) == 1
 
 
-@pytest.mark.parametrize("missing", ["two runs", "a run above the limit", "nothing", "no credit"])
-def test_other_parts_leave_the_place_where_it_is(core: ChannelCore, feed: ChannelFeed, missing: str) -> None:
-    if missing == "two runs":
+@pytest.mark.parametrize("case", ["two runs", "a run above the limit", "nothing", "no credit"])
+def test_take_newest_does_not_move_the_feed_if_it_returns_nothing(
+    core: ChannelCore, feed: ChannelFeed, case: str
+) -> None:
+    if case == "two runs":
         put(core, 5)
-    if missing != "nothing":
-        put(core, *((6,) if missing == "no credit" else (6, 7)))
-    assert feed.take_newest({"a run above the limit": 143, "no credit": 0}.get(missing, 144)) is None
+    if case != "nothing":
+        put(core, *((6,) if case == "no credit" else (6, 7)))
+    assert feed.take_newest({"a run above the limit": 143, "no credit": 0}.get(case, 144)) is None
     assert feed.next_seq == 5
-    assert (feed.take_newest(144) is None) == (missing in ("two runs", "nothing"))
+    assert (feed.take_newest(144) is None) == (case in ("two runs", "nothing"))

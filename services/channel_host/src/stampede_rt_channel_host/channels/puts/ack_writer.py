@@ -61,7 +61,7 @@ class AckWriter:
         self.wake()
 
     async def write(self) -> None:
-        """Write all acks that are due. If another write is under way, they follow it."""
+        """Write all acks that are due. If another write is under way, these acks go out after it."""
         if self._is_writing or not self._has_due:
             return
         self._is_writing = True

@@ -221,10 +221,10 @@ class ChannelFeed:
         return self._fed(item) if is_next and is_newest and self.owner is not None else None
 
     def take_newest(self, limit_bytes: int) -> FedItem | None:
-        """The next part, if the run that the source has stored last is all of it. For a copy without the owner's facts.
+        """The next part for a copy without the owner's facts, if the part is only the run that the source stored last.
 
-        Moves the place. None, and nothing moves, if the part has more, or a run of several items above the limit: call
-        `take`. Items that are too old since the last call of the source leave the copy with a later part.
+        Moves the place of the feed. Returns None, and does not move the place, if the part has more, or if a run of
+        several items is above the limit; then call `take`. Items that became too old since then leave in a later part.
         """
         held = self._source.held
         newest = held.index.newest_from(self.next_seq, held.floor)
