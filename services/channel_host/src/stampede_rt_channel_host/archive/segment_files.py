@@ -153,7 +153,7 @@ class SegmentFiles(SegmentReads):
         """
         if following is None or segment.end_seq <= following:
             return segment
-        return rest_of(segment, below(self._files.blocks(segment), segment.length, following))
+        return rest_of(segment, below(self._files.blocks(segment), segment.length, following), following)
 
     def _open_one(
         self, number: int, following: int | None, *, is_last: bool, may_be_torn: bool
@@ -174,7 +174,7 @@ class SegmentFiles(SegmentReads):
             os.close(file)
         blocks = scanned.blocks if following is None else below(scanned.blocks, length, following)
         whole = summary(number, scanned.end, scanned.blocks)
-        segment = None if whole is None else rest_of(whole, blocks)
+        segment = None if whole is None else rest_of(whole, blocks, following)
         if segment is None and scanned.damaged:
             self._files.set_aside(number)
         elif segment is None:

@@ -9,10 +9,10 @@ import pytest
 from stampede_rt.values.seq_starts import start_of
 from stampede_rt_channel_host.archive.objects.moving_files import MovingFiles
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits
-from stampede_rt_channel_host.archive.written_parts import MissingSeqs
-from stampede_rt_channel_host.core.archive import ArchivedRun
+from stampede_rt_channel_host.archive.written_parts import Advances, MissingSeqs
+from stampede_rt_channel_host.core.archive import ArchivedAdvance, ArchivedRun
 from tests.support.channel_host.object_stores import FakeStore, move, moving_files, opened_files
-from tests.unit.channel_host.archive.test_archive_files import ALL, decode, run_at, seqs, write
+from tests.unit.channel_host.archive.test_archive_files import ALL, NO_LIMITS, decode, run_at, seqs, write
 
 ITEMS = [*range(1, 9)]
 
@@ -129,3 +129,42 @@ async def test_a_host_opens_overlapping_objects_of_its_own_list_while_the_store_
         seqs(restarted, restarted.segments)
     store.failure = ""
     assert seqs(restarted, restarted.segments) == [*ITEMS, 9, 10]
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("is_listed_later", [True, False])
+@pytest.mark.parametrize("first_seq", [5, 3])
+async def test_the_archive_keeps_the_advances_of_an_owner_whose_items_the_next_owner_has_written(
+    tmp_path: Path, first_seq: int, is_listed_later: bool
+) -> None:
+    """In an earlier version, a read as of an instant between two advances found the advance of an earlier owner."""
+    store = FakeStore()
+    first = opened_files(tmp_path / "a", store, 1, cut)
+    first.write([Advances(1, (ArchivedAdvance(1, 1),)), [ArchivedRun(2, run_at(1))]], NO_LIMITS)
+    first.write([[ArchivedRun(3, run_at(3))]], NO_LIMITS)
+    first.close(None)
+    await move(first, store)
+    second = opened_files(tmp_path / "b", store, 2, cut)
+    second.write([Advances(5, (ArchivedAdvance(4, 3),)), [ArchivedRun(5, run_at(5))]], NO_LIMITS)
+    second.write([Advances(7, (ArchivedAdvance(6, 5),)), [ArchivedRun(7, run_at(7))]], NO_LIMITS)
+    second.write([Advances(9, (ArchivedAdvance(8, 7),))], NO_LIMITS)
+    second.close(None)
+    third = opened_files(tmp_path / "c", store, 3, cut)  # the channel has moved, and its items came along
+    third.write([Advances(first_seq, (ArchivedAdvance(8, 7),))], NO_LIMITS)
+    third.write([[ArchivedRun(seq, run_at(seq)) for seq in range(first_seq, 9, 2)]], NO_LIMITS)
+    third.close(None)
+    if is_listed_later:
+        await move(second, store)
+        files, found = third, third.find_again(third.stored.find(3), 9)
+    else:  # the second host opens the archive again, before its file has moved
+        await move(third, store)
+        files = opened_files(tmp_path / "b", store, 4, cut)
+        found = files.segments
+    assert seqs(files, found) == ITEMS
+    assert [files.past(found, as_of, decode).advance for as_of in range(9)] == [None, 1, 1, 1, 3, 3, 5, 5, 7]
+    assert [one.begin for one in found][1:] == [first_seq, first_seq]
+    for one in (second, third):
+        await move(one, store)
+    next_owner = opened_files(tmp_path / "d", store, 5, cut)
+    assert next_owner.segments == found
+    assert not next_owner.lacks_items(9)

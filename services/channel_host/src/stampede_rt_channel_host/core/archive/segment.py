@@ -151,15 +151,21 @@ def summary(number: int, length: int, blocks: Iterable[PlacedBlock]) -> Segment 
     )
 
 
-def rest_of(whole: Segment, blocks: Sequence[PlacedBlock]) -> Segment | None:
-    """The summary of the first `blocks` of a segment whose other items are left out; None: it has no others.
+def rest_of(whole: Segment, blocks: Sequence[PlacedBlock], following: int | None) -> Segment | None:
+    """The summary of the `blocks` of a segment whose items from the seq `following` on are left out; None: no block is
+    left.
 
     If only the note of a loss is left, `begin` stays the first seq of the owner: the seqs before it belong to former
-    owners.
+    owners. If only advances are left, `begin` may become `following`: otherwise earlier segments would also have the
+    items from `following` on.
     """
     short = summary(whole.number, blocks[-1].end if blocks else 0, blocks)
-    end_seq = 0 if short is None else max(short.end_seq, whole.begin)
-    return None if short is None else short._replace(first_seq=whole.first_seq, end_seq=end_seq)
+    if short is None:
+        return None
+    rest = short._replace(first_seq=whole.first_seq, end_seq=max(short.end_seq, whole.begin))
+    if following is None or rest.begin <= following:
+        return rest
+    return rest._replace(first_seq=following, end_seq=following)
 
 
 def grown(segment: Segment, head: BlockHead) -> Segment:

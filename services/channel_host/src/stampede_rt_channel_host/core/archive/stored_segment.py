@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 from zlib import crc32
 
-from stampede_rt_channel_host.core.archive.block import HEAD_BYTES, decode_head, encode_head
+from stampede_rt_channel_host.core.archive.block import ADVANCES, HEAD_BYTES, decode_head, encode_head
 from stampede_rt_channel_host.core.archive.segment import PlacedBlock, Segment
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
 
@@ -99,19 +99,24 @@ def decode_index(raw: bytes, length: int) -> list[PlacedBlock] | None:
 
 
 def below(blocks: Sequence[PlacedBlock], length: int, end_seq: int) -> list[PlacedBlock]:
-    """The blocks of a segment of `length` bytes, without their items from `end_seq` on."""
-    return [_cut(one, end_seq) for one in blocks if one.end <= length and one.head.first_seq < end_seq]
+    """The blocks of a segment of `length` bytes, without their items from `end_seq` on.
+
+    The owner that has these items again has only the latest advance again. So all blocks of advances stay.
+    """
+    whole = (one for one in blocks if one.end <= length)
+    return [_cut(one, end_seq) for one in whole if one.head.first_seq < end_seq or one.head.kind == ADVANCES]
 
 
 def up_to(blocks: Sequence[PlacedBlock], length: int, end_seq: int) -> list[PlacedBlock]:
-    """Like `below`, but with the blocks without seqs at the end of the segment: advances, and notes of losses."""
+    """Like `below`, but with the notes of losses at the end of the segment, which have no seqs."""
     ends = [one for one in blocks if one.end <= length and one.head.first_seq == one.head.end_seq == end_seq]
-    return [*below(blocks, length, end_seq), *ends]
+    return [*below(blocks, length, end_seq), *(one for one in ends if one.head.kind != ADVANCES)]
 
 
 def _cut(block: PlacedBlock, end_seq: int) -> PlacedBlock:
     head = block.head
     if head.end_seq <= end_seq:
         return block
-    items = min(head.items, max(0, end_seq - head.first_seq))
-    return PlacedBlock(block.offset, head._replace(end_seq=end_seq, items=items))
+    first_seq = min(head.first_seq, end_seq)
+    items = min(head.items, end_seq - first_seq)
+    return PlacedBlock(block.offset, head._replace(first_seq=first_seq, end_seq=end_seq, items=items))
