@@ -55,7 +55,7 @@ def steered_rings(host: BootClock) -> Iterator[Counter[str]]:
         patch(ring_mapping, "time", _SteeredTime(host))
         patch(facts, "AGE_MARGIN_NANOS", 0)
         for rings in (shared_rings, blocking_rings):
-            patch(rings, "AGAIN_S", 0.0)
+            patch(rings, "RETRY_PAUSE_S", 0.0)
         for subscriptions in (subscription, blocking_subscription):
             patch(subscriptions, "NO_RING_S", 0.0)
         for reads in (ring_reads, blocking_reads):

@@ -35,8 +35,8 @@ from stampede_rt.wire.long_answers import LongRun
 _log = logging.getLogger("stampede_rt")
 
 # If datagrams do not reach this reader, it stops using multicast for this time. The time doubles with each failure.
-AGAIN_S = 60.0
-AGAIN_S_MAX = 3600.0
+RETRY_PAUSE_S = 60.0
+RETRY_PAUSE_S_MAX = 3600.0
 REPAIR_BYTES_MAX = 2**18  # the most bytes of items that one repair asks for, without the last item
 COUNTS = ("datagrams", "items", "repairs", "repeated", "forged", "foreign", "other_key")
 
@@ -59,13 +59,13 @@ class MulticastSubscription(Subscription):
         self._receiving: MulticastReceiver | None = None
         self._is_following = False  # whether the items come from datagrams
         self._repair_seq = 0  # the seq that the open repair asks for; 0: no repair is open
-        self._not_before_s, self._again_s = 0.0, AGAIN_S
+        self._no_multicast_before_s, self._retry_pause_s = 0.0, RETRY_PAUSE_S
         self._item_bytes = 1.0  # about the bytes of one item
         self._before = MulticastStats()  # the counts of earlier streams
 
     @property
     def multicast(self) -> MulticastStats:
-        """How the items come, and the counts of datagrams so far."""
+        """Whether the items come in datagrams, and the counts of datagrams so far."""
         receiving = self._receiving
         if receiving is None:
             return self._before
@@ -73,7 +73,7 @@ class MulticastSubscription(Subscription):
         return replace(now, **{name: getattr(now, name) + getattr(self._before, name) for name in COUNTS})
 
     async def _advance(self) -> None:
-        if self._stream is not None and not self._opening.multicast and monotonic_s() >= self._not_before_s:
+        if self._stream is not None and not self._opening.multicast and monotonic_s() >= self._no_multicast_before_s:
             self._reopen()  # try multicast again
         await self._open()
         receiving, socket = self._receiving, self._socket
@@ -84,10 +84,10 @@ class MulticastSubscription(Subscription):
         if not self._ready:
             await self._receive()
         if receiving is not None and socket is not None and self._receiving is receiving:
-            await self._listen_in(receiving, socket)
+            await self._check_datagrams(receiving, socket)
 
     async def _open_stream(self, binding: Binding) -> None:
-        self._opening.multicast = monotonic_s() >= self._not_before_s
+        self._opening.multicast = monotonic_s() >= self._no_multicast_before_s
         self._offer = channel_pb.MulticastOffer()
         await super()._open_stream(binding)
         if self._offer.stream_id:
@@ -113,7 +113,7 @@ class MulticastSubscription(Subscription):
         if self._closed:  # the program called `close` meanwhile
             self._socket.close()
 
-    async def _listen_in(self, receiving: MulticastReceiver, socket: GroupSocket) -> None:
+    async def _check_datagrams(self, receiving: MulticastReceiver, socket: GroupSocket) -> None:
         """While the stream brings the items: check whether the datagrams bring the next items. If they do, take the
         items from the datagrams from now on."""
         cursor = self._cursor
@@ -159,7 +159,7 @@ class MulticastSubscription(Subscription):
         wanted = min(receiving.merge.missing_items * self._item_bytes, REPAIR_BYTES_MAX)
         request = channel_pb.SubscribeRequest(repair_next_seq=self._repair_seq, credit_bytes=max(1, int(wanted)))
         if stream is not None:
-            with suppress(Unavailable):  # the next response raises the reason of a broken stream
+            with suppress(Unavailable):  # the next response raises the error of a broken stream
                 await stream.send(request)
         try:
             while self._repair_seq and self._receiving is receiving and not self._closed:
@@ -230,8 +230,8 @@ class MulticastSubscription(Subscription):
 
     def _leave(self) -> None:
         """Continue on another stream, without multicast for a time."""
-        self._not_before_s = monotonic_s() + self._again_s
-        self._again_s = min(2 * self._again_s, AGAIN_S_MAX)
+        self._no_multicast_before_s = monotonic_s() + self._retry_pause_s
+        self._retry_pause_s = min(2 * self._retry_pause_s, RETRY_PAUSE_S_MAX)
         self._reopen()
 
     def _reopen(self) -> None:

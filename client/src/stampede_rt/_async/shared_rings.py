@@ -26,8 +26,8 @@ Perform = Callable[
 
 READS_BEFORE = 8  # a ring costs the host memory, so the client asks for one only after this many reads of a channel
 OPEN_S = 1.0  # the time limit for opening a ring
-AGAIN_S = 1.0  # the pause after a ring has ended, or could not be opened for a reason that may pass
-LONG_AGAIN_S = 30.0  # the pause after the host has refused a ring
+RETRY_PAUSE_S = 1.0  # the pause after a ring has ended, or could not be opened for a reason that may pass
+REFUSED_PAUSE_S = 30.0  # the pause after the host has refused a ring
 # Above this number the connection gives up the ring of the channel that it has known for the longest time.
 RINGS_MAX = 64
 CHANNELS_MAX = 4096  # the most channels whose reads are counted
@@ -92,15 +92,15 @@ class SharedRings:
                 raise memory_not_shared(binding.target)
             return mapping
 
-        known.is_opening, known.not_before_s = True, monotonic_s() + AGAIN_S
+        known.is_opening, known.not_before_s = True, monotonic_s() + RETRY_PAUSE_S
         try:
             mapping = await self._perform(state, open_at, OPEN_S)
         except ChannelNotShared:
-            mapping, known.not_before_s = None, monotonic_s() + LONG_AGAIN_S
+            mapping, known.not_before_s = None, monotonic_s() + REFUSED_PAUSE_S
         except (Unavailable, Overloaded):
             if self._is_forced:
                 raise
-            mapping, known.not_before_s = None, monotonic_s() + LONG_AGAIN_S
+            mapping, known.not_before_s = None, monotonic_s() + REFUSED_PAUSE_S
         except StampedeError:  # the read asks the host, and gets the error from it
             mapping = None
         finally:

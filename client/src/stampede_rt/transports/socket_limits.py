@@ -7,7 +7,7 @@ from stampede_rt.wire.stream_frames import STATUS_BYTES_MAX, FrameKind
 
 SILENCE_S_MAX = 7.5  # hosts send something every 2.5 s
 CONNECT_S_MAX = 1.0
-AGAIN_S = 30.0  # after a failure to connect, streams go over gRPC for this time
+RETRY_PAUSE_S = 30.0  # after a failure to connect, streams go over gRPC for this time
 # The bytes of one read; the client reads the rest of a longer message directly into the message's buffer.
 RECEIVE_BYTES = 2**16
 KEPT_BUFFER_BYTES_MAX = 2**21  # for a full message and one more item; a stream keeps this much memory

@@ -13,7 +13,7 @@ from stampede_rt.cluster.cluster_ids import METADATA_KEY as CLUSTER_KEY
 from stampede_rt.cluster.transport_choice import Transport
 from stampede_rt.errors import Unavailable
 from stampede_rt.security.tls import TlsMaterial
-from stampede_rt.transports.socket_limits import AGAIN_S
+from stampede_rt.transports.socket_limits import RETRY_PAUSE_S
 from stampede_rt.transports.tcp_route import TcpRoute
 from stampede_rt.v1 import gatekeeper_service_pb2 as pb
 from stampede_rt.v1 import socket_stream_pb2
@@ -106,7 +106,7 @@ class SocketRoute:
         """
         if not self._is_known or self._targets or self.tcp.port is not None:
             self._is_known = False
-            self._not_before_s = time.monotonic() + AGAIN_S
+            self._not_before_s = time.monotonic() + RETRY_PAUSE_S
         if self.is_forced:
             self._not_before_s = 0.0
             raise Unavailable(

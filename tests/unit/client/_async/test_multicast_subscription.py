@@ -231,13 +231,13 @@ async def test_a_reader_that_has_left_multicast_tries_it_again_after_a_time(sess
     session.streams[1].responses.append(pb.SubscribeResponse())
     await subscription._advance()
     assert (len(session.streams), subscription._receiving) == (2, None)
-    subscription._not_before_s = 0.0
+    subscription._no_multicast_before_s = 0.0
     advancing = asyncio.create_task(subscription._advance())
     while subscription._receiving is None:
         await asyncio.sleep(0)
     advancing.cancel()
     assert [stream.requests[0].open.multicast for stream in session.streams] == [True, False, True]
-    assert subscription._again_s == 2 * module.AGAIN_S
+    assert subscription._retry_pause_s == 2 * module.RETRY_PAUSE_S
 
 
 async def test_a_reader_ends_with_its_connection_although_datagrams_still_come(session: Session) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stampede_rt_supernode.replication.network.reports import AGAIN_SECONDS, REPORTS_MAX, ReportLimiter
+from stampede_rt_supernode.replication.network.reports import REPEAT_SECONDS_MIN, REPORTS_MAX, ReportLimiter
 
 
 def test_two_alternating_reasons_are_logged_once_each() -> None:
@@ -14,8 +14,8 @@ def test_two_alternating_reasons_are_logged_once_each() -> None:
 def test_a_lasting_problem_is_reported_again_after_a_while() -> None:
     reports = ReportLimiter()
     assert reports.is_due("down", 0.0)
-    assert not reports.is_due("down", AGAIN_SECONDS - 1)
-    assert reports.is_due("down", AGAIN_SECONDS)
+    assert not reports.is_due("down", REPEAT_SECONDS_MIN - 1)
+    assert reports.is_due("down", REPEAT_SECONDS_MIN)
 
 
 def test_the_number_of_kept_problems_is_limited() -> None:
