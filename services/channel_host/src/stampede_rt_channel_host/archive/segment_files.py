@@ -90,8 +90,6 @@ class SegmentFiles(SegmentReads):
         self._facts = facts
         self.is_shared = False
         """Whether the other hosts of the cluster read the closed segments, too."""
-        self.is_listed = True
-        """Whether the segments are known from a listing of their store, and not from a list on the disk."""
         self.is_known = True
         """Whether the host knows all segments: False until the first listing after an opening without one."""
         self.is_moving_here = False
@@ -325,6 +323,8 @@ class SegmentFiles(SegmentReads):
             outdated.append(segment.number)
             size -= segment.length
         if outdated:  # off the list first: a read must not report a deleted file as lost
+            highs = [one.high[0] for one in self._segments[: len(outdated)] if one.high is not None]
+            self.dropped_to = max([self.dropped_to, *highs])
             before, self._segments = self._segments, self._segments[len(outdated) :]
             self._segments = before[self._files.remove_all(outdated) :]
 

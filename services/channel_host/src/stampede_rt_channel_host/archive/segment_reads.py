@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from functools import partial
 
+from stampede_rt.values.timeline import MIN_INSTANT
 from stampede_rt_channel_host.archive.kept_blocks import FoundBlocks, KeptBlocks
 from stampede_rt_channel_host.archive.segment_folder import SegmentPlace
 from stampede_rt_channel_host.core.archive import (
@@ -26,6 +27,7 @@ from stampede_rt_channel_host.core.archive import (
     TimeRange,
     WantedWindow,
     WindowNeedsThread,
+    WindowReach,
     border_holes,
     choose,
     choose_part,
@@ -60,6 +62,11 @@ class SegmentReads:
         """Cuts the last run of a block whose later items are in the next segment, too; None: there is no such block."""
         self.join: Callable[[Sequence[Run]], Sequence[Run]] = _as_they_are
         """Joins neighbouring runs of one item, because the read takes several steps for each run."""
+        self.is_listed = True
+        """Whether the segments are known from a listing of their store, and not from a list on the disk."""
+        self.dropped_to = MIN_INSTANT
+        """The greatest time of the items that this process has dropped from the archive."""
+        self._earlier_to: int | None = None  # see `SegmentBlocks`; of the first segment; None: no read has found it
         self.damaged_blocks = 0
         """The blocks that reads found damaged."""
 
@@ -130,8 +137,23 @@ class SegmentReads:
         missing += border_holes(segments, blocks_of, taken, reach)
         window = window_of(runs, chosen, wanted.low, wanted.high, down=wanted.wanted.down)
         rows = AcceptedRows(*zip(*accepted, strict=True)) if accepted else None
-        earlier_to = blocks_of(segments[0]).earlier_to if segments and reach.meets(segments[0]) else None
+        earlier_to = self._last_dropped(segments, blocks_of, reach)
         return window._replace(holes=missing, doubts=doubts, earlier_to=earlier_to, accepted=rows)
+
+    def _last_dropped(self, segments: Sequence[Segment], blocks_of: BlocksOf, reach: WindowReach) -> int | None:
+        """The greatest time of the items before the first segment; None: there are none, or it is not known.
+
+        If the object store may be unreachable, a read of later segments does not need the first one.
+        """
+        first = next((one for one in segments if one.items), None)
+        if first is None or segments[0].first_seq == 1:
+            return None
+        is_readable = self.is_listed or reach.meets(first) or not self.place.is_stored(first.number)
+        if self._earlier_to is None and is_readable:
+            found = blocks_of(first).earlier_to
+            self._earlier_to = MIN_INSTANT if found is None else found
+        last = max(self._earlier_to or MIN_INSTANT, self.dropped_to)
+        return last if last > MIN_INSTANT else None
 
     def past(self, segments: Sequence[Segment], as_of: int, decode: Callable[[bytes], Run]) -> PastArchive:
         """The segments as they were at an earlier instant."""

@@ -186,7 +186,7 @@ class MovingFiles(SegmentFiles):
                 following = segment.begin
             elif kept[number].first_seq >= following:  # otherwise a block is damaged, and its file or object stays
                 repeated.append(number)
-        self._segments = tuple(reversed(ordered))
+        self._segments, self._earlier_to = tuple(reversed(ordered)), None
         self._unplaced.clear()
         # Only after `_segments` lacks them, because a read must not report a removed segment as lost.
         for number in repeated:

@@ -78,7 +78,7 @@ class ArchiveWindow(NamedTuple):
 
     `edge` and `following`: see `ChosenBlocks`. `end`: the items of this window and of all later windows are below
     this key; None: the items in memory come after the window. `holes`: the items that the archive lacks here. `doubts`:
-    where it may lack items. `earlier_to`: see `SegmentBlocks`; of the first segment, if the window reaches it.
+    where it may lack items. `earlier_to`: see `SegmentBlocks`; of the first segment, if it is known.
     `accepted`: when the host accepted the items, if the reader has asked for it.
     """
 
