@@ -32,6 +32,7 @@ class Host:
     is_listed: bool = True
     has_flag: bool = False
     last_change: int = 0
+    added_index: int = 1
 
 
 @dataclass
@@ -53,13 +54,18 @@ class Model:
         self.owner = ReplicasInSync(self.start, self.min_replicas)
 
     def know(self) -> None:
-        listed = [KnownReplica(one, host.boot, host.has_flag) for one, host in self.hosts.items() if host.is_listed]
+        listed = [
+            KnownReplica(one, host.boot, host.has_flag, host.added_index)
+            for one, host in self.hosts.items()
+            if host.is_listed
+        ]
         self.owner.know(listed, self.clock)
 
     def apply(self, change: ReplicaChange) -> bool:
         """Apply the change to the log, unless it comes too late. Returns True if the log has it now."""
         host = self.hosts[change.host_id]
-        if not host.is_listed or host.boot != change.boot_incarnation or change.number < host.last_change:
+        is_present = (host.boot, host.added_index) == (change.boot_incarnation, change.added_index)
+        if not host.is_listed or not is_present or change.number < host.last_change:
             return False
         host.has_flag, host.last_change = change.in_sync, change.number
         return True
@@ -85,9 +91,10 @@ class Model:
             host.holds = 0
         elif kind == 6 and rng.one_in(3):  # the host restarts
             host.boot, host.holds, host.has_flag, host.last_change = host.boot + 1, 0, False, 0
-        elif kind == 7:
-            host.is_listed = not host.is_listed
-            host.has_flag, host.last_change = host.has_flag and host.is_listed, 0
+        elif kind == 7:  # a caller removes the replica, and the host drops its items; or adds it (again)
+            host.is_listed = not host.is_listed or rng.one_in(2)
+            host.has_flag, host.last_change, host.holds = False, 0, 0
+            host.added_index += host.is_listed
         self.know()
         self.check(before)
 

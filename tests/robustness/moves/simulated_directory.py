@@ -82,7 +82,7 @@ class SimulatedDirectory(GatheredMoves):
         record = self.world.record_of(channel_id)
         warm = [one for one in self._copies(channel_id) if one.kind is ReplicaKind.WARM]
         return ListedReplicas(record.host_id, record.epoch, [
-            ListedReplica(KnownReplica(one.host_id, one.boot_incarnation, one.in_sync),
+            ListedReplica(KnownReplica(one.host_id, one.boot_incarnation, one.in_sync, one.added_index),
                           self.world.target_of(one.host_id), one.acknowledged)
             for one in warm
         ])  # fmt: skip
@@ -91,15 +91,15 @@ class SimulatedDirectory(GatheredMoves):
         await self._reach()
         self.world.apply(add_replica(channel_id, epoch=epoch, warm=True, acknowledged=acknowledged))
 
-    async def remove_replica(self, channel_id: bytes, host_id: bytes) -> None:
+    async def remove_replica(self, channel_id: bytes, epoch: int, host_id: bytes) -> None:
         await self._reach()
-        self.world.apply(RemoveReplica(channel_id=channel_id, host_id=host_id))
+        self.world.apply(RemoveReplica(channel_id=channel_id, host_id=host_id, epoch=epoch))
 
     async def change(self, channel_id: bytes, epoch: int, change: ReplicaChange) -> None:
         await self._reach()
         self.world.apply(SetReplicaInSync(
             channel_id=channel_id, epoch=epoch, host_id=change.host_id, boot_incarnation=change.boot_incarnation,
-            in_sync=change.in_sync, change_number=change.number,
+            in_sync=change.in_sync, change_number=change.number, added_index=change.added_index,
         ))  # fmt: skip
         await self._reach()  # the answer may be lost
 

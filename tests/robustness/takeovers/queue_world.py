@@ -174,8 +174,8 @@ class DirectoryOfQueues:
         record = cluster.queue(queue_id)
         return ListedReplicas(record.host_id, record.epoch, [
             ListedReplica(
-                KnownReplica(one.host_id, one.boot_incarnation, one.in_sync), cluster.target(one.host_id),
-                one.acknowledged,
+                KnownReplica(one.host_id, one.boot_incarnation, one.in_sync, one.added_index),
+                cluster.target(one.host_id), one.acknowledged,
             )
             for one in cluster.copies(queue_id)
         ])  # fmt: skip
@@ -185,13 +185,13 @@ class DirectoryOfQueues:
             channel_id=queue_id, epoch=epoch, kind=ReplicaKind.WARM, acknowledged=acknowledged, is_of_queue=True
         ))  # fmt: skip
 
-    async def remove_replica(self, queue_id: bytes, host_id: bytes) -> None:
-        await self._apply(RemoveReplica(channel_id=queue_id, host_id=host_id, is_of_queue=True))
+    async def remove_replica(self, queue_id: bytes, epoch: int, host_id: bytes) -> None:
+        await self._apply(RemoveReplica(channel_id=queue_id, host_id=host_id, epoch=epoch, is_of_queue=True))
 
     async def change(self, queue_id: bytes, epoch: int, change: ReplicaChange) -> None:
         await self._apply(SetReplicaInSync(
             channel_id=queue_id, epoch=epoch, host_id=change.host_id, boot_incarnation=change.boot_incarnation,
-            in_sync=change.in_sync, change_number=change.number, is_of_queue=True,
+            in_sync=change.in_sync, change_number=change.number, added_index=change.added_index, is_of_queue=True,
         ))  # fmt: skip
 
     async def commit_queue(self, queue_id: bytes, epoch: int, request_id: bytes, permit: bytes = b"") -> RecordedQueue:

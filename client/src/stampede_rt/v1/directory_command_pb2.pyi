@@ -331,12 +331,14 @@ class AddReplicaCommand(_message.Message):
     def __init__(self, subject: _Optional[_Union[_subject_pb2.Subject, _Mapping]] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., kind: _Optional[_Union[_replica_pb2.ReplicaKind, str]] = ..., source_host_id: _Optional[bytes] = ..., acknowledged: bool = ...) -> None: ...
 
 class RemoveReplicaCommand(_message.Message):
-    __slots__ = ("subject", "host_id")
+    __slots__ = ("subject", "host_id", "epoch")
     SUBJECT_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
+    EPOCH_FIELD_NUMBER: _ClassVar[int]
     subject: _subject_pb2.Subject
     host_id: bytes
-    def __init__(self, subject: _Optional[_Union[_subject_pb2.Subject, _Mapping]] = ..., host_id: _Optional[bytes] = ...) -> None: ...
+    epoch: int
+    def __init__(self, subject: _Optional[_Union[_subject_pb2.Subject, _Mapping]] = ..., host_id: _Optional[bytes] = ..., epoch: _Optional[int] = ...) -> None: ...
 
 class CommitMoveCommand(_message.Message):
     __slots__ = ("channel_id", "epoch", "to_host_id", "to_boot_incarnation", "permit")
@@ -385,20 +387,22 @@ class ReleaseMovesCommand(_message.Message):
     def __init__(self, host_id: _Optional[bytes] = ..., moves: _Optional[_Iterable[_Union[_move_pb2.MoveToRelease, _Mapping]]] = ...) -> None: ...
 
 class SetReplicaInSyncCommand(_message.Message):
-    __slots__ = ("subject", "epoch", "host_id", "boot_incarnation", "in_sync", "change_number")
+    __slots__ = ("subject", "epoch", "host_id", "boot_incarnation", "in_sync", "change_number", "added_index")
     SUBJECT_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     IN_SYNC_FIELD_NUMBER: _ClassVar[int]
     CHANGE_NUMBER_FIELD_NUMBER: _ClassVar[int]
+    ADDED_INDEX_FIELD_NUMBER: _ClassVar[int]
     subject: _subject_pb2.Subject
     epoch: int
     host_id: bytes
     boot_incarnation: int
     in_sync: bool
     change_number: int
-    def __init__(self, subject: _Optional[_Union[_subject_pb2.Subject, _Mapping]] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., in_sync: bool = ..., change_number: _Optional[int] = ...) -> None: ...
+    added_index: int
+    def __init__(self, subject: _Optional[_Union[_subject_pb2.Subject, _Mapping]] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., in_sync: bool = ..., change_number: _Optional[int] = ..., added_index: _Optional[int] = ...) -> None: ...
 
 class OpenQueueCommand(_message.Message):
     __slots__ = ("name", "spec", "create", "host_name", "new_queue_id", "new_incarnation", "created_by", "created_max")

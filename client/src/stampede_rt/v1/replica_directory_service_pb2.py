@@ -27,7 +27,7 @@ from stampede_rt.v1 import replica_pb2 as stampede__rt_dot_v1_dot_replica__pb2
 from stampede_rt.v1 import subject_pb2 as stampede__rt_dot_v1_dot_subject__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n.stampede_rt/v1/replica_directory_service.proto\x12\x0estampede_rt.v1\x1a\x1estampede_rt/v1/directory.proto\x1a\x1cstampede_rt/v1/replica.proto\x1a\x1cstampede_rt/v1/subject.proto\"\xca\x01\n\x11\x41\x64\x64ReplicaRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12(\n\x07subject\x18\x02 \x01(\x0b\x32\x17.stampede_rt.v1.Subject\x12\r\n\x05\x65poch\x18\x03 \x01(\x04\x12\x0f\n\x07host_id\x18\x04 \x01(\x0c\x12)\n\x04kind\x18\x05 \x01(\x0e\x32\x1b.stampede_rt.v1.ReplicaKind\x12\x16\n\x0esource_host_id\x18\x06 \x01(\x0c\x12\x14\n\x0c\x61\x63knowledged\x18\x07 \x01(\x08\"n\n\x12\x41\x64\x64ReplicaResponse\x12.\n\x07replica\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ReplicaRecord\x12(\n\x04host\x18\x02 \x01(\x0b\x32\x1a.stampede_rt.v1.HostRecord\"e\n\x14RemoveReplicaRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12(\n\x07subject\x18\x02 \x01(\x0b\x32\x17.stampede_rt.v1.Subject\x12\x0f\n\x07host_id\x18\x03 \x01(\x0c\"\x17\n\x15RemoveReplicaResponse\"\xb9\x01\n\x17SetReplicaInSyncRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12(\n\x07subject\x18\x02 \x01(\x0b\x32\x17.stampede_rt.v1.Subject\x12\r\n\x05\x65poch\x18\x03 \x01(\x04\x12\x0f\n\x07host_id\x18\x04 \x01(\x0c\x12\x18\n\x10\x62oot_incarnation\x18\x05 \x01(\x06\x12\x0f\n\x07in_sync\x18\x06 \x01(\x08\x12\x15\n\rchange_number\x18\x07 \x01(\x04\"J\n\x18SetReplicaInSyncResponse\x12.\n\x07replica\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ReplicaRecord\"r\n\x19ReportReplicaLoadsRequest\x12\x0f\n\x07host_id\x18\x01 \x01(\x0c\x12\x18\n\x10\x62oot_incarnation\x18\x02 \x01(\x06\x12*\n\x05loads\x18\x03 \x03(\x0b\x32\x1b.stampede_rt.v1.ReplicaLoad\"6\n\x1aReportReplicaLoadsResponse\x12\x18\n\x10gone_channel_ids\x18\x01 \x03(\x0c\"Q\n\x13ListReplicasRequest\x12(\n\x07subject\x18\x01 \x01(\x0b\x32\x17.stampede_rt.v1.Subject\x12\x10\n\x08stale_ok\x18\x02 \x01(\x08\"\xdb\x01\n\x14ListReplicasResponse\x12/\n\x08replicas\x18\x01 \x03(\x0b\x32\x1d.stampede_rt.v1.ReplicaRecord\x12*\n\x05loads\x18\x02 \x03(\x0b\x32\x1b.stampede_rt.v1.ReplicaLoad\x12)\n\x05hosts\x18\x03 \x03(\x0b\x32\x1a.stampede_rt.v1.HostRecord\x12\x15\n\rowner_host_id\x18\x04 \x01(\x0c\x12\r\n\x05\x65poch\x18\x05 \x01(\x04\x12\x15\n\rapplied_index\x18\x06 \x01(\x04\x32\xfb\x03\n\x17ReplicaDirectoryService\x12S\n\nAddReplica\x12!.stampede_rt.v1.AddReplicaRequest\x1a\".stampede_rt.v1.AddReplicaResponse\x12\\\n\rRemoveReplica\x12$.stampede_rt.v1.RemoveReplicaRequest\x1a%.stampede_rt.v1.RemoveReplicaResponse\x12\x65\n\x10SetReplicaInSync\x12\'.stampede_rt.v1.SetReplicaInSyncRequest\x1a(.stampede_rt.v1.SetReplicaInSyncResponse\x12k\n\x12ReportReplicaLoads\x12).stampede_rt.v1.ReportReplicaLoadsRequest\x1a*.stampede_rt.v1.ReportReplicaLoadsResponse\x12Y\n\x0cListReplicas\x12#.stampede_rt.v1.ListReplicasRequest\x1a$.stampede_rt.v1.ListReplicasResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n.stampede_rt/v1/replica_directory_service.proto\x12\x0estampede_rt.v1\x1a\x1estampede_rt/v1/directory.proto\x1a\x1cstampede_rt/v1/replica.proto\x1a\x1cstampede_rt/v1/subject.proto\"\xca\x01\n\x11\x41\x64\x64ReplicaRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12(\n\x07subject\x18\x02 \x01(\x0b\x32\x17.stampede_rt.v1.Subject\x12\r\n\x05\x65poch\x18\x03 \x01(\x04\x12\x0f\n\x07host_id\x18\x04 \x01(\x0c\x12)\n\x04kind\x18\x05 \x01(\x0e\x32\x1b.stampede_rt.v1.ReplicaKind\x12\x16\n\x0esource_host_id\x18\x06 \x01(\x0c\x12\x14\n\x0c\x61\x63knowledged\x18\x07 \x01(\x08\"n\n\x12\x41\x64\x64ReplicaResponse\x12.\n\x07replica\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ReplicaRecord\x12(\n\x04host\x18\x02 \x01(\x0b\x32\x1a.stampede_rt.v1.HostRecord\"t\n\x14RemoveReplicaRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12(\n\x07subject\x18\x02 \x01(\x0b\x32\x17.stampede_rt.v1.Subject\x12\x0f\n\x07host_id\x18\x03 \x01(\x0c\x12\r\n\x05\x65poch\x18\x04 \x01(\x04\"\x17\n\x15RemoveReplicaResponse\"\xce\x01\n\x17SetReplicaInSyncRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12(\n\x07subject\x18\x02 \x01(\x0b\x32\x17.stampede_rt.v1.Subject\x12\r\n\x05\x65poch\x18\x03 \x01(\x04\x12\x0f\n\x07host_id\x18\x04 \x01(\x0c\x12\x18\n\x10\x62oot_incarnation\x18\x05 \x01(\x06\x12\x0f\n\x07in_sync\x18\x06 \x01(\x08\x12\x15\n\rchange_number\x18\x07 \x01(\x04\x12\x13\n\x0b\x61\x64\x64\x65\x64_index\x18\x08 \x01(\x04\"J\n\x18SetReplicaInSyncResponse\x12.\n\x07replica\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ReplicaRecord\"r\n\x19ReportReplicaLoadsRequest\x12\x0f\n\x07host_id\x18\x01 \x01(\x0c\x12\x18\n\x10\x62oot_incarnation\x18\x02 \x01(\x06\x12*\n\x05loads\x18\x03 \x03(\x0b\x32\x1b.stampede_rt.v1.ReplicaLoad\"6\n\x1aReportReplicaLoadsResponse\x12\x18\n\x10gone_channel_ids\x18\x01 \x03(\x0c\"Q\n\x13ListReplicasRequest\x12(\n\x07subject\x18\x01 \x01(\x0b\x32\x17.stampede_rt.v1.Subject\x12\x10\n\x08stale_ok\x18\x02 \x01(\x08\"\xdb\x01\n\x14ListReplicasResponse\x12/\n\x08replicas\x18\x01 \x03(\x0b\x32\x1d.stampede_rt.v1.ReplicaRecord\x12*\n\x05loads\x18\x02 \x03(\x0b\x32\x1b.stampede_rt.v1.ReplicaLoad\x12)\n\x05hosts\x18\x03 \x03(\x0b\x32\x1a.stampede_rt.v1.HostRecord\x12\x15\n\rowner_host_id\x18\x04 \x01(\x0c\x12\r\n\x05\x65poch\x18\x05 \x01(\x04\x12\x15\n\rapplied_index\x18\x06 \x01(\x04\x32\xfb\x03\n\x17ReplicaDirectoryService\x12S\n\nAddReplica\x12!.stampede_rt.v1.AddReplicaRequest\x1a\".stampede_rt.v1.AddReplicaResponse\x12\\\n\rRemoveReplica\x12$.stampede_rt.v1.RemoveReplicaRequest\x1a%.stampede_rt.v1.RemoveReplicaResponse\x12\x65\n\x10SetReplicaInSync\x12\'.stampede_rt.v1.SetReplicaInSyncRequest\x1a(.stampede_rt.v1.SetReplicaInSyncResponse\x12k\n\x12ReportReplicaLoads\x12).stampede_rt.v1.ReportReplicaLoadsRequest\x1a*.stampede_rt.v1.ReportReplicaLoadsResponse\x12Y\n\x0cListReplicas\x12#.stampede_rt.v1.ListReplicasRequest\x1a$.stampede_rt.v1.ListReplicasResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -39,21 +39,21 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_ADDREPLICARESPONSE']._serialized_start=363
   _globals['_ADDREPLICARESPONSE']._serialized_end=473
   _globals['_REMOVEREPLICAREQUEST']._serialized_start=475
-  _globals['_REMOVEREPLICAREQUEST']._serialized_end=576
-  _globals['_REMOVEREPLICARESPONSE']._serialized_start=578
-  _globals['_REMOVEREPLICARESPONSE']._serialized_end=601
-  _globals['_SETREPLICAINSYNCREQUEST']._serialized_start=604
-  _globals['_SETREPLICAINSYNCREQUEST']._serialized_end=789
-  _globals['_SETREPLICAINSYNCRESPONSE']._serialized_start=791
-  _globals['_SETREPLICAINSYNCRESPONSE']._serialized_end=865
-  _globals['_REPORTREPLICALOADSREQUEST']._serialized_start=867
-  _globals['_REPORTREPLICALOADSREQUEST']._serialized_end=981
-  _globals['_REPORTREPLICALOADSRESPONSE']._serialized_start=983
-  _globals['_REPORTREPLICALOADSRESPONSE']._serialized_end=1037
-  _globals['_LISTREPLICASREQUEST']._serialized_start=1039
-  _globals['_LISTREPLICASREQUEST']._serialized_end=1120
-  _globals['_LISTREPLICASRESPONSE']._serialized_start=1123
-  _globals['_LISTREPLICASRESPONSE']._serialized_end=1342
-  _globals['_REPLICADIRECTORYSERVICE']._serialized_start=1345
-  _globals['_REPLICADIRECTORYSERVICE']._serialized_end=1852
+  _globals['_REMOVEREPLICAREQUEST']._serialized_end=591
+  _globals['_REMOVEREPLICARESPONSE']._serialized_start=593
+  _globals['_REMOVEREPLICARESPONSE']._serialized_end=616
+  _globals['_SETREPLICAINSYNCREQUEST']._serialized_start=619
+  _globals['_SETREPLICAINSYNCREQUEST']._serialized_end=825
+  _globals['_SETREPLICAINSYNCRESPONSE']._serialized_start=827
+  _globals['_SETREPLICAINSYNCRESPONSE']._serialized_end=901
+  _globals['_REPORTREPLICALOADSREQUEST']._serialized_start=903
+  _globals['_REPORTREPLICALOADSREQUEST']._serialized_end=1017
+  _globals['_REPORTREPLICALOADSRESPONSE']._serialized_start=1019
+  _globals['_REPORTREPLICALOADSRESPONSE']._serialized_end=1073
+  _globals['_LISTREPLICASREQUEST']._serialized_start=1075
+  _globals['_LISTREPLICASREQUEST']._serialized_end=1156
+  _globals['_LISTREPLICASRESPONSE']._serialized_start=1159
+  _globals['_LISTREPLICASRESPONSE']._serialized_end=1378
+  _globals['_REPLICADIRECTORYSERVICE']._serialized_start=1381
+  _globals['_REPLICADIRECTORYSERVICE']._serialized_end=1888
 # @@protoc_insertion_point(module_scope)

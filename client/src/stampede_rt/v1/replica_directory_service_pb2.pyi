@@ -36,21 +36,23 @@ class AddReplicaResponse(_message.Message):
     def __init__(self, replica: _Optional[_Union[_replica_pb2.ReplicaRecord, _Mapping]] = ..., host: _Optional[_Union[_directory_pb2.HostRecord, _Mapping]] = ...) -> None: ...
 
 class RemoveReplicaRequest(_message.Message):
-    __slots__ = ("request_id", "subject", "host_id")
+    __slots__ = ("request_id", "subject", "host_id", "epoch")
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     SUBJECT_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
+    EPOCH_FIELD_NUMBER: _ClassVar[int]
     request_id: bytes
     subject: _subject_pb2.Subject
     host_id: bytes
-    def __init__(self, request_id: _Optional[bytes] = ..., subject: _Optional[_Union[_subject_pb2.Subject, _Mapping]] = ..., host_id: _Optional[bytes] = ...) -> None: ...
+    epoch: int
+    def __init__(self, request_id: _Optional[bytes] = ..., subject: _Optional[_Union[_subject_pb2.Subject, _Mapping]] = ..., host_id: _Optional[bytes] = ..., epoch: _Optional[int] = ...) -> None: ...
 
 class RemoveReplicaResponse(_message.Message):
     __slots__ = ()
     def __init__(self) -> None: ...
 
 class SetReplicaInSyncRequest(_message.Message):
-    __slots__ = ("request_id", "subject", "epoch", "host_id", "boot_incarnation", "in_sync", "change_number")
+    __slots__ = ("request_id", "subject", "epoch", "host_id", "boot_incarnation", "in_sync", "change_number", "added_index")
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     SUBJECT_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
@@ -58,6 +60,7 @@ class SetReplicaInSyncRequest(_message.Message):
     BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     IN_SYNC_FIELD_NUMBER: _ClassVar[int]
     CHANGE_NUMBER_FIELD_NUMBER: _ClassVar[int]
+    ADDED_INDEX_FIELD_NUMBER: _ClassVar[int]
     request_id: bytes
     subject: _subject_pb2.Subject
     epoch: int
@@ -65,7 +68,8 @@ class SetReplicaInSyncRequest(_message.Message):
     boot_incarnation: int
     in_sync: bool
     change_number: int
-    def __init__(self, request_id: _Optional[bytes] = ..., subject: _Optional[_Union[_subject_pb2.Subject, _Mapping]] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., in_sync: bool = ..., change_number: _Optional[int] = ...) -> None: ...
+    added_index: int
+    def __init__(self, request_id: _Optional[bytes] = ..., subject: _Optional[_Union[_subject_pb2.Subject, _Mapping]] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., in_sync: bool = ..., change_number: _Optional[int] = ..., added_index: _Optional[int] = ...) -> None: ...
 
 class SetReplicaInSyncResponse(_message.Message):
     __slots__ = ("replica",)

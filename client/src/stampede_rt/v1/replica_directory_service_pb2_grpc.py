@@ -99,7 +99,7 @@ class ReplicaDirectoryServiceServicer(object):
 
     def RemoveReplica(self, request, context):
         """Remove a copy. Its readers get MOVED, and go to the owner. Idempotent: if there is no such copy, the call succeeds.
-        Errors: CHANNEL_NOT_FOUND.
+        Errors: CHANNEL_NOT_FOUND, WRONG_EPOCH.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -109,7 +109,7 @@ class ReplicaDirectoryServiceServicer(object):
         """Between hosts and supernodes only: the owner says whether a warm replica is in sync. The directory accepts this
         only with the present epoch and the boot incarnation of the replica's host. Idempotent. Errors: WRONG_EPOCH,
         CHANNEL_NOT_FOUND, HOST_NOT_FOUND (no such copy, or another boot incarnation), INVALID_ARGUMENT (a proxy, or a change
-        with an earlier number than the last one).
+        with an earlier number than the last one, or another `added_index`).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

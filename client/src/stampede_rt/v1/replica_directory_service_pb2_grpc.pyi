@@ -53,13 +53,13 @@ class ReplicaDirectoryServiceStub:
     """
     RemoveReplica: _grpc.UnaryUnaryMultiCallable[_replica_directory_service_pb2.RemoveReplicaRequest, _replica_directory_service_pb2.RemoveReplicaResponse]
     """Remove a copy. Its readers get MOVED, and go to the owner. Idempotent: if there is no such copy, the call succeeds.
-    Errors: CHANNEL_NOT_FOUND.
+    Errors: CHANNEL_NOT_FOUND, WRONG_EPOCH.
     """
     SetReplicaInSync: _grpc.UnaryUnaryMultiCallable[_replica_directory_service_pb2.SetReplicaInSyncRequest, _replica_directory_service_pb2.SetReplicaInSyncResponse]
     """Between hosts and supernodes only: the owner says whether a warm replica is in sync. The directory accepts this
     only with the present epoch and the boot incarnation of the replica's host. Idempotent. Errors: WRONG_EPOCH,
     CHANNEL_NOT_FOUND, HOST_NOT_FOUND (no such copy, or another boot incarnation), INVALID_ARGUMENT (a proxy, or a change
-    with an earlier number than the last one).
+    with an earlier number than the last one, or another `added_index`).
     """
     ReportReplicaLoads: _grpc.UnaryUnaryMultiCallable[_replica_directory_service_pb2.ReportReplicaLoadsRequest, _replica_directory_service_pb2.ReportReplicaLoadsResponse]
     """Between hosts and supernodes only: a host reports the load of its copies, about every 2 s. The leader keeps it in
@@ -95,13 +95,13 @@ class ReplicaDirectoryServiceAsyncStub(ReplicaDirectoryServiceStub):
     """
     RemoveReplica: _aio.UnaryUnaryMultiCallable[_replica_directory_service_pb2.RemoveReplicaRequest, _replica_directory_service_pb2.RemoveReplicaResponse]  # type: ignore[assignment]
     """Remove a copy. Its readers get MOVED, and go to the owner. Idempotent: if there is no such copy, the call succeeds.
-    Errors: CHANNEL_NOT_FOUND.
+    Errors: CHANNEL_NOT_FOUND, WRONG_EPOCH.
     """
     SetReplicaInSync: _aio.UnaryUnaryMultiCallable[_replica_directory_service_pb2.SetReplicaInSyncRequest, _replica_directory_service_pb2.SetReplicaInSyncResponse]  # type: ignore[assignment]
     """Between hosts and supernodes only: the owner says whether a warm replica is in sync. The directory accepts this
     only with the present epoch and the boot incarnation of the replica's host. Idempotent. Errors: WRONG_EPOCH,
     CHANNEL_NOT_FOUND, HOST_NOT_FOUND (no such copy, or another boot incarnation), INVALID_ARGUMENT (a proxy, or a change
-    with an earlier number than the last one).
+    with an earlier number than the last one, or another `added_index`).
     """
     ReportReplicaLoads: _aio.UnaryUnaryMultiCallable[_replica_directory_service_pb2.ReportReplicaLoadsRequest, _replica_directory_service_pb2.ReportReplicaLoadsResponse]  # type: ignore[assignment]
     """Between hosts and supernodes only: a host reports the load of its copies, about every 2 s. The leader keeps it in
@@ -146,7 +146,7 @@ class ReplicaDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_replica_directory_service_pb2.RemoveReplicaResponse, _abc.Awaitable[_replica_directory_service_pb2.RemoveReplicaResponse]]:
         """Remove a copy. Its readers get MOVED, and go to the owner. Idempotent: if there is no such copy, the call succeeds.
-        Errors: CHANNEL_NOT_FOUND.
+        Errors: CHANNEL_NOT_FOUND, WRONG_EPOCH.
         """
 
     @_abc_1.abstractmethod
@@ -158,7 +158,7 @@ class ReplicaDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         """Between hosts and supernodes only: the owner says whether a warm replica is in sync. The directory accepts this
         only with the present epoch and the boot incarnation of the replica's host. Idempotent. Errors: WRONG_EPOCH,
         CHANNEL_NOT_FOUND, HOST_NOT_FOUND (no such copy, or another boot incarnation), INVALID_ARGUMENT (a proxy, or a change
-        with an earlier number than the last one).
+        with an earlier number than the last one, or another `added_index`).
         """
 
     @_abc_1.abstractmethod

@@ -25,17 +25,17 @@ _sym_db = _symbol_database.Default()
 from stampede_rt.v1 import subject_pb2 as stampede__rt_dot_v1_dot_subject__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1cstampede_rt/v1/replica.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/subject.proto\"\xf4\x01\n\rReplicaRecord\x12(\n\x07subject\x18\x01 \x01(\x0b\x32\x17.stampede_rt.v1.Subject\x12\x0f\n\x07host_id\x18\x02 \x01(\x0c\x12\x18\n\x10\x62oot_incarnation\x18\x03 \x01(\x06\x12)\n\x04kind\x18\x04 \x01(\x0e\x32\x1b.stampede_rt.v1.ReplicaKind\x12\x16\n\x0esource_host_id\x18\x05 \x01(\x0c\x12\x0f\n\x07in_sync\x18\x06 \x01(\x08\x12\x14\n\x0c\x61\x63knowledged\x18\x07 \x01(\x08\x12\r\n\x05\x65poch\x18\x08 \x01(\x04\x12\x15\n\rchange_number\x18\t \x01(\x04\"\xa8\x01\n\x0bReplicaLoad\x12(\n\x07subject\x18\x01 \x01(\x0b\x32\x17.stampede_rt.v1.Subject\x12\x0f\n\x07host_id\x18\x02 \x01(\x0c\x12\x15\n\rsubscriptions\x18\x03 \x01(\r\x12\"\n\x1a\x64\x65livered_bytes_per_second\x18\x04 \x01(\x04\x12\x10\n\x08next_seq\x18\x05 \x01(\x04\x12\x11\n\tlag_nanos\x18\x06 \x01(\x03*q\n\x0bReplicaKind\x12\x1c\n\x18REPLICA_KIND_UNSPECIFIED\x10\x00\x12\x16\n\x12REPLICA_KIND_PROXY\x10\x01\x12\x15\n\x11REPLICA_KIND_WARM\x10\x02\x12\x15\n\x11REPLICA_KIND_MOVE\x10\x03\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1cstampede_rt/v1/replica.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/subject.proto\"\x89\x02\n\rReplicaRecord\x12(\n\x07subject\x18\x01 \x01(\x0b\x32\x17.stampede_rt.v1.Subject\x12\x0f\n\x07host_id\x18\x02 \x01(\x0c\x12\x18\n\x10\x62oot_incarnation\x18\x03 \x01(\x06\x12)\n\x04kind\x18\x04 \x01(\x0e\x32\x1b.stampede_rt.v1.ReplicaKind\x12\x16\n\x0esource_host_id\x18\x05 \x01(\x0c\x12\x0f\n\x07in_sync\x18\x06 \x01(\x08\x12\x14\n\x0c\x61\x63knowledged\x18\x07 \x01(\x08\x12\r\n\x05\x65poch\x18\x08 \x01(\x04\x12\x15\n\rchange_number\x18\t \x01(\x04\x12\x13\n\x0b\x61\x64\x64\x65\x64_index\x18\n \x01(\x04\"\xa8\x01\n\x0bReplicaLoad\x12(\n\x07subject\x18\x01 \x01(\x0b\x32\x17.stampede_rt.v1.Subject\x12\x0f\n\x07host_id\x18\x02 \x01(\x0c\x12\x15\n\rsubscriptions\x18\x03 \x01(\r\x12\"\n\x1a\x64\x65livered_bytes_per_second\x18\x04 \x01(\x04\x12\x10\n\x08next_seq\x18\x05 \x01(\x04\x12\x11\n\tlag_nanos\x18\x06 \x01(\x03*q\n\x0bReplicaKind\x12\x1c\n\x18REPLICA_KIND_UNSPECIFIED\x10\x00\x12\x16\n\x12REPLICA_KIND_PROXY\x10\x01\x12\x15\n\x11REPLICA_KIND_WARM\x10\x02\x12\x15\n\x11REPLICA_KIND_MOVE\x10\x03\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'stampede_rt.v1.replica_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_REPLICAKIND']._serialized_start=496
-  _globals['_REPLICAKIND']._serialized_end=609
+  _globals['_REPLICAKIND']._serialized_start=517
+  _globals['_REPLICAKIND']._serialized_end=630
   _globals['_REPLICARECORD']._serialized_start=79
-  _globals['_REPLICARECORD']._serialized_end=323
-  _globals['_REPLICALOAD']._serialized_start=326
-  _globals['_REPLICALOAD']._serialized_end=494
+  _globals['_REPLICARECORD']._serialized_end=344
+  _globals['_REPLICALOAD']._serialized_start=347
+  _globals['_REPLICALOAD']._serialized_end=515
 # @@protoc_insertion_point(module_scope)

@@ -19,7 +19,7 @@ REPLICA_KIND_WARM: ReplicaKind
 REPLICA_KIND_MOVE: ReplicaKind
 
 class ReplicaRecord(_message.Message):
-    __slots__ = ("subject", "host_id", "boot_incarnation", "kind", "source_host_id", "in_sync", "acknowledged", "epoch", "change_number")
+    __slots__ = ("subject", "host_id", "boot_incarnation", "kind", "source_host_id", "in_sync", "acknowledged", "epoch", "change_number", "added_index")
     SUBJECT_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
@@ -29,6 +29,7 @@ class ReplicaRecord(_message.Message):
     ACKNOWLEDGED_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     CHANGE_NUMBER_FIELD_NUMBER: _ClassVar[int]
+    ADDED_INDEX_FIELD_NUMBER: _ClassVar[int]
     subject: _subject_pb2.Subject
     host_id: bytes
     boot_incarnation: int
@@ -38,7 +39,8 @@ class ReplicaRecord(_message.Message):
     acknowledged: bool
     epoch: int
     change_number: int
-    def __init__(self, subject: _Optional[_Union[_subject_pb2.Subject, _Mapping]] = ..., host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., kind: _Optional[_Union[ReplicaKind, str]] = ..., source_host_id: _Optional[bytes] = ..., in_sync: bool = ..., acknowledged: bool = ..., epoch: _Optional[int] = ..., change_number: _Optional[int] = ...) -> None: ...
+    added_index: int
+    def __init__(self, subject: _Optional[_Union[_subject_pb2.Subject, _Mapping]] = ..., host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., kind: _Optional[_Union[ReplicaKind, str]] = ..., source_host_id: _Optional[bytes] = ..., in_sync: bool = ..., acknowledged: bool = ..., epoch: _Optional[int] = ..., change_number: _Optional[int] = ..., added_index: _Optional[int] = ...) -> None: ...
 
 class ReplicaLoad(_message.Message):
     __slots__ = ("subject", "host_id", "subscriptions", "delivered_bytes_per_second", "next_seq", "lag_nanos")

@@ -87,7 +87,7 @@ class ReplicaDirectory:
         targets = _targets(response)
         replicas = [
             ListedReplica(
-                KnownReplica(one.host_id, one.boot_incarnation, one.in_sync),
+                KnownReplica(one.host_id, one.boot_incarnation, one.in_sync, one.added_index),
                 targets.get(one.host_id, ""),
                 one.acknowledged,
             )
@@ -110,10 +110,10 @@ class ReplicaDirectory:
         )
         await self._call("AddReplica", request, ADD_SECONDS_MAX, final_reason="NO_HOST")
 
-    async def remove_replica(self, subject_id: bytes, host_id: bytes) -> None:
-        """Remove the replica at a host."""
+    async def remove_replica(self, subject_id: bytes, epoch: int, host_id: bytes) -> None:
+        """Remove the replica at a host. Raises StaleBinding."""
         request = pb.RemoveReplicaRequest(
-            request_id=os.urandom(ID_BYTES), subject=self._subject(subject_id), host_id=host_id
+            request_id=os.urandom(ID_BYTES), subject=self._subject(subject_id), host_id=host_id, epoch=epoch
         )
         await self._call("RemoveReplica", request)
 
@@ -127,6 +127,7 @@ class ReplicaDirectory:
             boot_incarnation=change.boot_incarnation,
             in_sync=change.in_sync,
             change_number=change.number,
+            added_index=change.added_index,
         )
         await self._call("SetReplicaInSync", request)
 

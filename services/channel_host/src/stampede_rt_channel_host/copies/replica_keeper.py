@@ -168,7 +168,7 @@ class KeptReplicas(ABC):
         listed = await self._directory.replicas_of(self._subject_id)
         if listed.owner_host_id == self._host_id and listed.epoch == self.epoch:
             others = [one for one in listed.replicas if one.acknowledged is not self.waits]
-            await self._remove(others)
+            await self._remove(others, listed.epoch)
             listed = listed._replace(replicas=[one for one in listed.replicas if one not in others])
             self._replication.know([one.known for one in listed.replicas])
         return listed
@@ -185,16 +185,18 @@ class KeptReplicas(ABC):
             except Unavailable as error:  # no host is left
                 failure, self._missing_s = error, min(2 * missing_s, LIST_SECONDS)
             replicas = (await self._list()).replicas
-        await self._remove(sorted(replicas, key=lambda one: one.known.in_sync)[: max(0, len(replicas) - wanted)])
+        surplus = sorted(replicas, key=lambda one: one.known.in_sync)[: max(0, len(replicas) - wanted)]
+        await self._remove(surplus, listed.epoch)
         for one in replicas:
             if one.target and not self._replication.is_fed(one.known.host_id):
                 self.start(one)
         if failure is not None:
             self._log_failure(failure)
 
-    async def _remove(self, replicas: list[ListedReplica]) -> None:
+    async def _remove(self, replicas: list[ListedReplica], epoch: int) -> None:
+        """Remove replicas that were listed at `epoch`. Raises StaleBinding if the channel or queue has another one."""
         for one in replicas:
-            await self._directory.remove_replica(self._subject_id, one.known.host_id)
+            await self._directory.remove_replica(self._subject_id, epoch, one.known.host_id)
             self._listed_s = -LIST_SECONDS
 
     def _log_failure(self, error: StampedeError) -> None:

@@ -63,6 +63,7 @@ def replica_record(replica: ReplicaRecord) -> replica_pb2.ReplicaRecord:
         acknowledged=replica.acknowledged,
         epoch=replica.epoch,
         change_number=replica.change_number,
+        added_index=replica.added_index,
     )
 
 
@@ -80,6 +81,7 @@ def replica_from(record: replica_pb2.ReplicaRecord) -> ReplicaRecord:
         acknowledged=record.acknowledged,
         epoch=record.epoch,
         change_number=record.change_number,
+        added_index=record.added_index,
     )
 
 

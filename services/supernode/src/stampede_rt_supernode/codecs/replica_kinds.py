@@ -51,13 +51,15 @@ def _read_add(message: pb.AddReplicaCommand) -> AddReplica:
 
 def _remove_message(operation: RemoveReplica) -> pb.RemoveReplicaCommand:
     return pb.RemoveReplicaCommand(
-        subject=subject_of(operation.channel_id, is_of_queue=operation.is_of_queue), host_id=operation.host_id
+        subject=subject_of(operation.channel_id, is_of_queue=operation.is_of_queue),
+        host_id=operation.host_id,
+        epoch=operation.epoch,
     )
 
 
 def _read_remove(message: pb.RemoveReplicaCommand) -> RemoveReplica:
     subject_id, is_of_queue = copied_subject(message.subject)
-    return RemoveReplica(channel_id=subject_id, is_of_queue=is_of_queue, host_id=message.host_id)
+    return RemoveReplica(channel_id=subject_id, is_of_queue=is_of_queue, host_id=message.host_id, epoch=message.epoch)
 
 
 def _in_sync_message(operation: SetReplicaInSync) -> pb.SetReplicaInSyncCommand:
@@ -68,6 +70,7 @@ def _in_sync_message(operation: SetReplicaInSync) -> pb.SetReplicaInSyncCommand:
         boot_incarnation=operation.boot_incarnation,
         in_sync=operation.in_sync,
         change_number=operation.change_number,
+        added_index=operation.added_index,
     )
 
 
@@ -81,6 +84,7 @@ def _read_in_sync(message: pb.SetReplicaInSyncCommand) -> SetReplicaInSync:
         boot_incarnation=message.boot_incarnation,
         in_sync=message.in_sync,
         change_number=message.change_number,
+        added_index=message.added_index,
     )
 
 

@@ -173,7 +173,8 @@ class ReplicaRecord:
     `source_host_id`: the host that feeds the copy. `in_sync`: the copy holds all acknowledged items, so its host may
     become the owner; only warm replicas can be in sync. `acknowledged`: puts wait for the copy while it is in sync.
     `epoch`: the epoch of the channel when this copy was added or last changed. `change_number`: the owner's number of
-    its last change of `in_sync` in this epoch; 0: there was none.
+    its last change of `in_sync` in this epoch; 0: there was none. `added_index`: the log position at which this copy
+    was added; 0: unknown.
     """
 
     channel_id: bytes
@@ -185,6 +186,7 @@ class ReplicaRecord:
     acknowledged: bool = False
     epoch: int
     change_number: int = 0
+    added_index: int = 0
     is_of_queue: bool = False
 
 

@@ -65,7 +65,9 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
     @errors_as_status
     async def RemoveReplica(self, request: pb.RemoveReplicaRequest, context: Context) -> pb.RemoveReplicaResponse:
         subject_id, is_of_queue = await self._check_configures(context, request.subject)
-        operation = RemoveReplica(channel_id=subject_id, is_of_queue=is_of_queue, host_id=request.host_id)
+        operation = RemoveReplica(
+            channel_id=subject_id, is_of_queue=is_of_queue, host_id=request.host_id, epoch=request.epoch
+        )
         await self._calls.submit(context, operation, ReplicaRemoved, request.request_id)
         return pb.RemoveReplicaResponse()
 
@@ -85,6 +87,7 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
             boot_incarnation=request.boot_incarnation,
             in_sync=request.in_sync,
             change_number=request.change_number,
+            added_index=request.added_index,
         )
         done = await self._calls.submit(context, operation, ReplicaInSyncSet, request.request_id)
         return pb.SetReplicaInSyncResponse(replica=replica_record(done.replica))

@@ -8,6 +8,8 @@ from dataclasses import replace
 import pytest
 
 from stampede_rt_supernode.core.channels.commands import ChannelOpened
+from stampede_rt_supernode.core.cluster.commands import RaiseFeatureLevel
+from stampede_rt_supernode.core.cluster.feature_levels import CALLERS_FACTS_LEVEL
 from stampede_rt_supernode.core.commands import Operation, RefusedOperation
 from stampede_rt_supernode.core.records import ChannelRecord, ReplicaKind, ReplicaRecord
 from stampede_rt_supernode.core.replicas import transitions as replica_transitions
@@ -196,6 +198,42 @@ def test_a_change_of_the_in_sync_flag_that_arrives_after_a_later_one_is_refused(
     late = refusal(log, replace(set_in_sync(channel_id, 2), change_number=6))
     assert late.metadata["field"] == "change_number"
     assert [one.in_sync for one in copies(log)] == [False]
+
+
+def test_a_late_flag_of_a_removed_replica_does_not_count_for_the_replica_that_was_added_afterwards(log: Log) -> None:
+    """In an earlier version the replica without the items came in sync, and became the owner with the same
+    incarnation.
+    """
+    log.apply(RaiseFeatureLevel(feature_level=CALLERS_FACTS_LEVEL))
+    channel_id = cam(log).channel_id
+    replica = added(log, add_replica(channel_id, 2, warm=True, acknowledged=True))
+    flag = replace(set_in_sync(channel_id, 2), change_number=7, added_index=replica.added_index)
+    log.apply(remove_replica(channel_id, 2))
+    second = added(log, add_replica(channel_id, 2, warm=True, acknowledged=True))
+    assert refusal(log, flag).metadata["field"] == "added_index"
+    assert [one.in_sync for one in copies(log)] == [False]
+    assert isinstance(log.apply(replace(flag, added_index=second.added_index)), ReplicaInSyncSet)
+
+
+def test_a_former_owner_removes_no_replica_of_its_successor(log: Log) -> None:
+    log.apply(RaiseFeatureLevel(feature_level=CALLERS_FACTS_LEVEL))
+    warm_in_sync(log, 2)
+    warm_in_sync(log, 3)
+    channel_id, former = cam(log).channel_id, cam(log)
+    log.apply(expire(1, registered_index=2))
+    left = 5 - int.from_bytes(cam(log).host_id, "big")  # the other one of the hosts 2 and 3
+    late = refusal(log, replace(remove_replica(channel_id, left), epoch=former.epoch))
+    assert late.reason == "WRONG_EPOCH"
+    assert [one.host_id for one in copies(log)] == [id_of(left)]
+    assert log.apply(replace(remove_replica(channel_id, left), epoch=cam(log).epoch)) == ReplicaRemoved()
+
+
+def test_below_the_level_replicas_ignore_the_facts_that_a_caller_knows(log: Log) -> None:
+    channel_id = cam(log).channel_id
+    replica = added(log, add_replica(channel_id, 2, warm=True, acknowledged=True))
+    assert replica.added_index == 0
+    assert isinstance(log.apply(replace(set_in_sync(channel_id, 2), added_index=99)), ReplicaInSyncSet)
+    assert log.apply(replace(remove_replica(channel_id, 2), epoch=99)) == ReplicaRemoved()
 
 
 def test_replicas_are_removed_when_the_ack_of_the_channel_begins_or_ceases_to_need_them(log: Log) -> None:

@@ -31,36 +31,51 @@ class ReplicaState(Enum):
 
 
 class KnownReplica(NamedTuple):
-    """A replica as the directory knows it. Its host has a new `boot_incarnation` after each restart."""
+    """A replica as the directory knows it. Its host has a new `boot_incarnation` after each restart.
+
+    `added_index`: the position of its addition in the directory's log; 0: the directory does not say it.
+    """
 
     host_id: bytes
     boot_incarnation: int
     in_sync: bool
+    added_index: int = 0
 
 
 class ReplicaChange(NamedTuple):
     """A flag for the directory to set or to clear.
 
     The directory ignores a change whose `number` is not above the number of the last change. So a change that comes
-    late never overtakes a later one.
+    late never overtakes a later one. It also refuses a change whose `added_index` is not that of the present replica:
+    the change is about a replica that was removed meanwhile.
     """
 
     host_id: bytes
     boot_incarnation: int
     in_sync: bool
     number: int
+    added_index: int = 0
 
 
 class _Replica:
     """`next_seq`: it holds all items before this seq. `caught_up`: when it last had all items that the owner had."""
 
-    def __init__(self, boot_incarnation: int, state: ReplicaState, owner_next_seq: int, now: int) -> None:
-        self.boot_incarnation = boot_incarnation
+    def __init__(self, known: KnownReplica, owner_next_seq: int, now: int) -> None:
+        state = ReplicaState.IN if known.in_sync else ReplicaState.OUT
+        self.boot_incarnation = known.boot_incarnation
+        self.added_index = known.added_index
         self.state = state
         self.next_seq = 0
         self.caught_up = now if state is ReplicaState.IN else _NEVER
         self.mark = owner_next_seq, now  # the owner's next seq at an earlier report, and the time of that report
         self.change = 0  # the number of the latest change of the flag
+
+    def is_same(self, known: KnownReplica | None) -> bool:
+        """Whether the directory still has this replica, and has not removed it and added it again since."""
+        return known is not None and (known.boot_incarnation, known.added_index) == (
+            self.boot_incarnation,
+            self.added_index,
+        )
 
     def lose_items(self, owner_next_seq: int, now: int) -> None:
         self.next_seq, self.caught_up, self.mark = 0, _NEVER, (owner_next_seq, now)
@@ -122,14 +137,14 @@ class ReplicasInSync:
         """Take over the replicas that the directory has. Before the first call nothing is replicated."""
         known = {one.host_id: one for one in replicas}
         for host_id in [*self._replicas]:
-            if host_id not in known or known[host_id].boot_incarnation != self._replicas[host_id].boot_incarnation:
+            if not self._replicas[host_id].is_same(known.get(host_id)):
                 del self._replicas[host_id]  # the directory never makes such a replica the owner
         for one in known.values():
             if one.host_id not in self._replicas:
-                state = ReplicaState.IN if one.in_sync else ReplicaState.OUT
-                self._replicas[one.host_id] = _Replica(one.boot_incarnation, state, self._next_seq, now)
+                self._replicas[one.host_id] = _Replica(one, self._next_seq, now)
             elif self._replicas[one.host_id].state is (ReplicaState.OUT if one.in_sync else ReplicaState.IN):
-                # a caller has removed the replica and added it again, or another owner has changed the flag meanwhile
+                # Another owner has changed the flag meanwhile, or a directory of an earlier release does not say that a
+                # caller has removed the replica and added it again.
                 self._become(self._replicas[one.host_id], ReplicaState.LEAVING, now)
         self._is_known = True
         self._advance_replicated()
@@ -178,7 +193,8 @@ class ReplicasInSync:
         elif one.state is ReplicaState.OUT and not lags and (self._may_lag or one.next_seq >= self._needed):
             self._become(one, ReplicaState.JOINING, now)
         if one.state in (ReplicaState.JOINING, ReplicaState.LEAVING):
-            return ReplicaChange(host_id, one.boot_incarnation, one.state is ReplicaState.JOINING, one.change)
+            is_joining = one.state is ReplicaState.JOINING
+            return ReplicaChange(host_id, one.boot_incarnation, is_joining, one.change, one.added_index)
         return None
 
     @property

@@ -35,6 +35,9 @@ LAGGING_REPLICAS_LEVEL = 4
 ARCHIVE_LEVEL = 4
 # From this level on queues and mailboxes may have replicas.
 QUEUE_REPLICAS_LEVEL = 4
+# From this level on replicas keep the log position at which each copy was added, and compare the facts that a caller
+# knows: the epoch of a removal, and the log position of a copy.
+CALLERS_FACTS_LEVEL = 4
 
 
 def may_be_used(needed: int, cluster_level: int) -> bool:

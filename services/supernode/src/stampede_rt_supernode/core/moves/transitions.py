@@ -128,6 +128,7 @@ def _former_owner(tables: Tables, before: Copied, after: Copied) -> tuple[Replic
             in_sync=True,
             acknowledged=acknowledged,
             epoch=after.epoch,
+            added_index=tables.index,
             is_of_queue=isinstance(after, QueueRecord),
         ),
     )

@@ -27,10 +27,14 @@ class AddReplica(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RemoveReplica(Operation):
-    """Remove the copy of a channel or queue at a host."""
+    """Remove the copy of a channel or queue at a host.
+
+    `epoch`: the present epoch, as the caller knows it; 0: the directory does not compare it.
+    """
 
     channel_id: bytes
     host_id: bytes
+    epoch: int = 0
     is_of_queue: bool = False
 
 
@@ -39,6 +43,8 @@ class SetReplicaInSync(Operation):
     """The owner at `epoch` reports whether a warm replica is in sync.
 
     `host_id` and `boot_incarnation` belong to the replica's host. `change_number` grows with each change.
+    `added_index`: the log position at which the replica was added, as the owner knows it; 0: the directory does not
+    compare it.
     """
 
     channel_id: bytes
@@ -47,6 +53,7 @@ class SetReplicaInSync(Operation):
     boot_incarnation: int
     in_sync: bool
     change_number: int = 0
+    added_index: int = 0
     is_of_queue: bool = False
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
-from stampede_rt_supernode.core.command_kinds import CommandKind, on_tables
+from stampede_rt_supernode.core.cluster.feature_levels import CALLERS_FACTS_LEVEL
+from stampede_rt_supernode.core.command_kinds import CommandKind
 from stampede_rt_supernode.core.replicas.commands import (
     AddReplica,
     RemoveReplica,
@@ -21,10 +23,28 @@ from stampede_rt_supernode.core.replicas.transitions import (
     remove_replica,
     set_in_sync,
 )
+from stampede_rt_supernode.core.state import DirectoryState
 
 
 def _channel_and_host(operation: AddReplica | RemoveReplica | SetReplicaInSync) -> str:
     return f"{operation.channel_id.hex()} {operation.host_id.hex()}"
+
+
+def _add(state: DirectoryState, operation: AddReplica, time_unix_nano: int) -> ReplicaAdded:
+    keeps_index = state.feature_level >= CALLERS_FACTS_LEVEL
+    return add_replica(state.tables, operation, added_index=state.tables.index if keeps_index else 0)
+
+
+def _remove(state: DirectoryState, operation: RemoveReplica, time_unix_nano: int) -> ReplicaRemoved:
+    if state.feature_level < CALLERS_FACTS_LEVEL:
+        operation = replace(operation, epoch=0)
+    return remove_replica(state.tables, operation)
+
+
+def _set_in_sync(state: DirectoryState, operation: SetReplicaInSync, time_unix_nano: int) -> ReplicaInSyncSet:
+    if state.feature_level < CALLERS_FACTS_LEVEL:
+        operation = replace(operation, added_index=0)
+    return set_in_sync(state.tables, operation)
 
 
 KINDS: tuple[CommandKind[Any, Any], ...] = (
@@ -34,7 +54,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
         feature_level=1,
         subject=_channel_and_host,
         check=check_add_replica,
-        apply=on_tables(add_replica),
+        apply=_add,
     ),
     CommandKind(
         operation=RemoveReplica,
@@ -42,7 +62,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
         feature_level=1,
         subject=_channel_and_host,
         check=check_remove_replica,
-        apply=on_tables(remove_replica),
+        apply=_remove,
     ),
     CommandKind(
         operation=SetReplicaInSync,
@@ -50,6 +70,6 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
         feature_level=1,
         subject=_channel_and_host,
         check=check_set_in_sync,
-        apply=on_tables(set_in_sync),
+        apply=_set_in_sync,
     ),
 )

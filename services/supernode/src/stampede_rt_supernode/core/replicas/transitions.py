@@ -79,7 +79,7 @@ def check_has_host(tables: Tables, operation: AddReplica) -> None:
     _choose_host(tables, subject, operation.host_id)
 
 
-def add_replica(tables: Tables, operation: AddReplica) -> ReplicaAdded:
+def add_replica(tables: Tables, operation: AddReplica, *, added_index: int) -> ReplicaAdded:
     """Add a copy. If the host has a copy of the same kind already, returns that copy."""
     check_add_replica(operation)
     channel = copied_by_id(tables, operation.channel_id, is_of_queue=operation.is_of_queue)
@@ -103,6 +103,7 @@ def add_replica(tables: Tables, operation: AddReplica) -> ReplicaAdded:
         source_host_id=_source(tables, channel, operation),
         acknowledged=operation.acknowledged,
         epoch=channel.epoch,
+        added_index=added_index,
         is_of_queue=operation.is_of_queue,
     )
     store(tables, channel, (*held, replica))
@@ -172,6 +173,8 @@ def remove_replica(tables: Tables, operation: RemoveReplica) -> ReplicaRemoved:
     """Remove a copy, if there is one. The owner then feeds the copies that the removed copy fed."""
     check_remove_replica(operation)
     channel = copied_by_id(tables, operation.channel_id, is_of_queue=operation.is_of_queue)
+    if operation.epoch:
+        check_epoch(channel, operation.epoch)
     drop_copy(tables, channel, operation.host_id)
     return ReplicaRemoved()
 
@@ -225,8 +228,9 @@ def set_in_sync(tables: Tables, operation: SetReplicaInSync) -> ReplicaInSyncSet
     """Set `in_sync` of a copy as its owner reports it, if epoch and boot incarnation agree.
 
     The owner reports False, and waits until that is in the log, before it acknowledges a put without the replica. A
-    late report of a former owner has another epoch. A report that arrives after a newer report has a lower number. The
-    directory refuses both. So a replica that becomes the owner has all acknowledged items.
+    late report of a former owner has another epoch. A report that arrives after a newer report has a lower number. A
+    report about a replica that was removed and added again has another `added_index`. The directory refuses all three.
+    So a replica that becomes the owner has all acknowledged items.
     """
     check_set_in_sync(operation)
     channel = copied_by_id(tables, operation.channel_id, is_of_queue=operation.is_of_queue)
@@ -244,6 +248,9 @@ def set_in_sync(tables: Tables, operation: SetReplicaInSync) -> ReplicaInSyncSet
     if operation.change_number < replica.change_number:
         text = f"{shown(channel)}: a later change of the replica is in the log; report its present state"
         raise InvalidArgument(text, metadata=about(channel) | {"field": "change_number"})
+    if operation.added_index not in (0, replica.added_index):
+        text = f"{shown(channel)}: the replica was removed and added again since; report the state of the present one"
+        raise InvalidArgument(text, metadata=about(channel) | {"field": "added_index"})
     number = operation.change_number
     changed = replace(replica, in_sync=operation.in_sync, epoch=channel.epoch, change_number=number)
     held = tables.replicas.of(id_of(channel))
