@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from typing import Any
 
 import pytest
 
 from stampede_rt.values.model import Policy
+from stampede_rt_channel_host.copies.replica_directory import FeedSource
 from stampede_rt_supernode.core.moves.commands import CommitMove
 from stampede_rt_supernode.core.records import ReplicaRecord
 from tests.robustness.takeovers import simulate
 from tests.robustness.takeovers.channel_callers import ChannelCallers
 from tests.robustness.takeovers.world import Cluster
-from tests.support.supernode.operations import update
+from tests.support.supernode.operations import add_replica, remove_replica, update
 from tests.support.virtual_time import VirtualClock, run_virtually
 
 SETTLED_SECONDS, SOON_SECONDS = 15.0, 2.0
@@ -90,3 +92,47 @@ def test_a_replica_is_in_sync_again_soon_after_a_move_has_failed() -> None:
         await asyncio.sleep(SOON_SECONDS)
 
     assert [one.in_sync for one in play("host", events)] == [True]
+
+
+class LateLookup:
+    """The next lookup of a copy's source by a host. The directory answers it, but the answer comes after `release`."""
+
+    def __init__(self, directory: Any) -> None:
+        self.is_answered, self.release = asyncio.Event(), asyncio.Event()
+        self._directory, self._source_of = directory, directory.source_of
+        directory.source_of = self._answered_late
+
+    async def _answered_late(self, channel_id: bytes, host_id: bytes) -> FeedSource | None:
+        self._directory.source_of = self._source_of
+        answer = await self._source_of(channel_id, host_id)
+        self.is_answered.set()
+        await self.release.wait()
+        return answer
+
+
+def test_a_late_answer_about_a_removed_replica_does_not_drop_the_replica_that_was_added_again() -> None:
+    """The feed of the removed replica never ended, so the new replica came in sync. In an earlier version its host then
+    dropped all items. It became the owner without them if the owner was lost within a second.
+    """
+
+    async def events(scenario: Scenario) -> None:
+        cluster, callers = scenario.cluster, scenario.callers
+        channel_id, owner = cluster.channel_id, callers.owner_number()
+        number = 3 - owner
+        lookup = LateLookup(cluster.hosts[number].directory)
+        cluster.apply(remove_replica(channel_id, number))
+        checking = asyncio.create_task(cluster.hosts[number].copies._check_removed([channel_id]))
+        await lookup.is_answered.wait()
+        cluster.apply(add_replica(channel_id, number, epoch=cluster.channel.epoch, warm=True, acknowledged=True))
+        await asyncio.sleep(SETTLED_SECONDS)
+        assert [one.in_sync for one in scenario.replicas()] == [True]
+        lookup.release.set()
+        await checking
+        acknowledged = {*callers.acknowledged}
+        cluster.kill(owner)
+        await asyncio.sleep(SETTLED_SECONDS)
+        assert callers.owner_number() == number
+        assert acknowledged
+        assert acknowledged <= {*callers.look()}
+
+    play("replica", events)

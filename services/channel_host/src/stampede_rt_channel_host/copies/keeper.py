@@ -80,10 +80,13 @@ class CopyKeeper:
         """Keep the feed of a copy from now on."""
         copy = self._copies[record.channel_id] = _Copy(record, state)
         state.on_dropped = lambda: self._stop(record.channel_id, "the host has dropped it")
-        copy.task = asyncio.create_task(self._keep_until_stopped(copy), name=f"copy of {record.name}")
-        copy.task.add_done_callback(_check)
+        self._begin_task(copy)
         logger.info("a copy begins", extra={"event": "copy_began", "channel": record.name})
         return copy
+
+    def _begin_task(self, copy: _Copy) -> None:
+        copy.task = asyncio.create_task(self._keep_until_stopped(copy), name=f"copy of {copy.record.name}")
+        copy.task.add_done_callback(_check)
 
     def pause(self, channel_id: bytes) -> CopyState:
         """Let the move of a channel to this host feed its copy, until `resume`. Returns the state of that copy.
@@ -243,11 +246,29 @@ class CopyKeeper:
             )
 
     async def _check_removed(self, channel_ids: Sequence[bytes]) -> None:
-        """Ask the directory for the copies that its leader does not know, and drop the copies that are gone."""
+        """Ask the directory for the copies that its leader does not know. End the feeds of the copies that are gone.
+
+        The answer does not count for a copy with a feed: if it comes late, a caller may have added the replica again,
+        and the owner may count on its items. So the host ends the feed, and asks once more.
+        """
         for channel_id in channel_ids:
             copy = self._copies.get(channel_id)
-            if copy is not None:
-                await self._source_of(copy)
+            if copy is not None and await self._is_gone(channel_id):
+                await self._look_up_anew(copy)
+
+    async def _is_gone(self, channel_id: bytes) -> bool:
+        try:
+            return await self._directory.source_of(channel_id, self._identity.host_id) is None
+        except ChannelNotFound:
+            return True
+
+    async def _look_up_anew(self, copy: _Copy) -> None:
+        """End the feed of a copy, and keep the copy from its next lookup on."""
+        if copy.task is not None:
+            copy.task.cancel()
+            await asyncio.wait([copy.task])
+        if self._copies.get(copy.record.channel_id) is copy:
+            self._begin_task(copy)
 
 
 def _check(task: asyncio.Task[None]) -> None:
