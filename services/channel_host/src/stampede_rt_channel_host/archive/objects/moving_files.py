@@ -14,7 +14,7 @@ from stampede_rt_channel_host.archive.kept_blocks import KeptBlocks
 from stampede_rt_channel_host.archive.objects.segment_store import StoreError
 from stampede_rt_channel_host.archive.objects.stored_segments import PackedSegment, StoredSegments
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, OpenedArchive, SegmentFiles
-from stampede_rt_channel_host.core.archive import CutRun, Segment
+from stampede_rt_channel_host.core.archive import CutRun, Segment, begun_by
 from stampede_rt_channel_host.core.archive.stored_segment import StoredSegment, first_number
 
 
@@ -39,6 +39,7 @@ class MovingFiles(SegmentFiles):
         self.is_shared = True
         self.is_left = self.is_given_up = False
         self._unplaced: list[Segment] = []  # segments of the former owner, if an error interrupted `find_again`
+        self._wide: dict[int, Segment] = {}  # whole segments whose remaining items the host could not look up
         self.waiting: tuple[Segment, ...] = ()
         """The closed segments that have not moved yet, as of the last `look`."""
         self.former_stop: CleanStop | None = None
@@ -74,7 +75,7 @@ class MovingFiles(SegmentFiles):
 
     def _without(self, segment: Segment, following: int | None) -> Segment | None:
         """See `SegmentFiles`. If the host opens the archive while the store is unreachable, the segment may have wider
-        bounds than its remaining items. Reads of the segment need the store anyway.
+        bounds than its remaining items, until the store is back. Reads of the segment need the store anyway.
         """
         try:
             return super()._without(segment, following)
@@ -84,7 +85,9 @@ class MovingFiles(SegmentFiles):
             assert following is not None, "otherwise the segment stays whole"
             items = min(segment.items, given_between(segment.first_seq, following))
             low, high = (segment.low, segment.high) if items else (None, None)
-            return segment._replace(items=items, low=low, high=high, end_seq=max(following, segment.begin))
+            self._wide[segment.number] = segment
+            rest = segment._replace(items=items, low=low, high=high, end_seq=max(following, segment.begin))
+            return begun_by(rest, following)
 
     def _own_part(self, end_seq: int) -> OwnPart | None:
         """The beginning of the last segments in the folder that follow each other without a hole.
@@ -162,7 +165,7 @@ class MovingFiles(SegmentFiles):
         archive, or lost to it.
         Returns all segments. Raises OSError.
         """
-        kept = {one.number: one for one in self._segments}
+        kept = {one.number: self._wide.get(one.number, one) for one in self._segments}
         latest = max(*kept, first_number(self._epoch)) if kept else 2**63
         self.is_listed = True
         self.former_stop = self.former_stop or self.stored.take_stop(self._epoch)
@@ -188,6 +191,7 @@ class MovingFiles(SegmentFiles):
                 repeated.append(number)
         self._segments, self._earlier_to = tuple(reversed(ordered)), None
         self._unplaced.clear()
+        self._wide.clear()
         # Only after `_segments` lacks them, because a read must not report a removed segment as lost.
         for number in repeated:
             self.stored.remove(number)

@@ -163,9 +163,12 @@ def rest_of(whole: Segment, blocks: Sequence[PlacedBlock], following: int | None
     if short is None:
         return None
     rest = short._replace(first_seq=whole.first_seq, end_seq=max(short.end_seq, whole.begin))
-    if following is None or rest.begin <= following:
-        return rest
-    return rest._replace(first_seq=following, end_seq=following)
+    return rest if following is None else begun_by(rest, following)
+
+
+def begun_by(segment: Segment, following: int) -> Segment:
+    """The segment, whose owner has begun at the seq `following` or before. If not, the segment has no items left."""
+    return segment if segment.begin <= following else segment._replace(first_seq=following, end_seq=following)
 
 
 def grown(segment: Segment, head: BlockHead) -> Segment:
