@@ -39,7 +39,7 @@ def run(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch, capsys: pytest.C
 
 @pytest.fixture(scope="module")
 def base(rt: st.Connection) -> int:
-    """Two channels at two hosts; the cut of their group is two seconds behind this time."""
+    """Two channels at two hosts. The cut of their group is two seconds after the returned time."""
     base = st.now() - 20 * SECOND
     for name, host in zip(("rig/left", "rig/right"), sorted(host.name for host in rt.hosts()), strict=True):
         channel = rt.channel(name, max_age="120s", host=host)

@@ -90,7 +90,7 @@ async def test_founders_with_different_lists_create_no_cluster_and_report_the_di
     try:
         await alone.start()
         code, printed = await command(*founder(3, listed))
-        assert (code, "give all the same --members" in printed) == (1, True), printed
+        assert (code, "start each of them with the same --members" in printed) == (1, True), printed
     finally:
         await alone.close()
 

@@ -104,7 +104,7 @@ def test_hosts_and_front_ends_stay_in_their_cluster_and_lose_no_item(cluster: Lo
                 [frontend] = cluster.frontends
                 for host in cluster.hosts:
                     until(
-                        # A host asks the stranger only if it learned the address before the front-end left it out.
+                        # Once the front-end has left the stranger out, no host learns the stranger's address any more.
                         lambda host=host: (
                             has_logged(host, "is of another cluster")
                             or has_logged(frontend, "another cluster's supernode")
@@ -122,6 +122,7 @@ def test_hosts_and_front_ends_stay_in_their_cluster_and_lose_no_item(cluster: Lo
                     info = newcomer.channel(name, create=False).info
                     assert (info.host, info.incarnation, info.epoch) == owned, "the channel keeps its owner"
                 newcomer.channel("cam/new").put(b"taken by those that live")
+            # the status names the stranger, whose id is "restored", as the supernode at this address
             assert "restored is there" in supernode_command("status", "--member", living[0].address)
             # The stranger knows both hosts from the backup. Neither host renews its lease there, so their leases end.
             assert len(asyncio.run(hosts_at(cluster, gone.address, include_dead=True))) == len(cluster.hosts)
@@ -146,9 +147,9 @@ def test_hosts_and_connected_clients_follow_the_cluster_that_replaces_theirs(
             until(
                 lambda: _serves(rt.channel("cam/new")), "a channel is made in the new cluster, and its host takes puts"
             )
-            until(lambda: _serves(kept), "the host of a former channel takes puts of a client that has gone over")
+            until(lambda: _serves(kept), "the host of an older channel takes puts of a client of the new cluster")
             assert payloads(kept)[0] == b"before"
-            # The connected client learns the id with its next measurement; the new cluster serves it before that, too.
+            # `rt.cluster_id` changes only when the client next measures its round trips. So look at new clients.
             until(lambda: _binds_elsewhere(cluster, former_id), "the front-end binds new clients to the new cluster")
 
 

@@ -1,4 +1,4 @@
-"""A channel behind a whole path, and the oracle's channel: their common parts, and the counters that must agree."""
+"""A channel that is read over a whole path (a `Surface`), and the oracle's channel. Compares their counters."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ class PathAndOracle:
         self.name = f"scenario/{next(_names)}"
         others = range(1, len(surface.connections))
         self.handles = [self.open(0, **policy_arguments(policy)), *map(self.open, others)]
-        # an odd number of turns: otherwise a step that takes two turns would always read with the same half of the
-        # clients
+        # An odd number of turns, so the last handle may have two: each use of `channel` takes a turn. With an even
+        # number, a step that takes two turns would always read with the same half of the clients.
         self._turns = itertools.cycle(self.handles if len(self.handles) % 2 else [*self.handles, self.handles[-1]])
         self.payloads: dict[int, bytes] = {}
         self.line: list[OracleRun] = []
@@ -58,7 +58,7 @@ class PathAndOracle:
 
     @property
     def channel(self) -> Any:
-        """The least recently used handle."""
+        """The handle whose turn it is. Each use ends a turn."""
         return next(self._turns)
 
     def reader(self) -> OracleReader:
@@ -90,7 +90,7 @@ class PathAndOracle:
         raise AssertionError(f"the condition never came true: {stats}, {self.line}, {self.followers}")
 
     def check_counters(self, stats: st.ChannelStats) -> None:
-        """Check that the counters and the bounds agree with the oracle's."""
+        """Check that the counters, the newest and oldest times, frontier and advance agree with the oracle's."""
         oracle = self.oracle
         assert stats.accepted == stats.held + sum(stats.collected.values()) == len(oracle.log)
         check_causes(stats.collected, oracle.collected)

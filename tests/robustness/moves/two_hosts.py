@@ -1,6 +1,8 @@
-"""Hosts and a directory in one process. Moves run the product's code, over a link and calls that the test can cut.
+"""Hosts and a directory in one process. The product's code performs the moves. The test can cut the links between the
+hosts, and the calls to the directory.
 
-There are two hosts, and a third one if the channel has replicas. Then the real keepers of replicas run, too.
+There are two hosts. There is a third one if the channel has replicas, or if the test wants one. If the channel has
+replicas, the product's keepers of replicas run at each host.
 
 `World.crash_at` names the step of a move at which the test interferes. `STEPS` has all steps, in their order.
 """
@@ -55,7 +57,7 @@ class World:
         self, crash_at: str, happens: Callable[[World], None], replica_at: int = 0, *, third: bool = False,
         channels: int = 1,
     ) -> None:  # fmt: skip
-        """`replica_at`: the host with the replica; 0: the channel has none. `third`: there is always a third host.
+        """`replica_at`: the host with the replica; 0: the channel has none. `third`: the test wants a third host.
 
         `channels`: the number of channels, all at the source. `channel_id` is the id of the first channel.
         """
@@ -94,7 +96,7 @@ class World:
         return record, FeedSource(record.host_id, self.target_of(record.host_id), record.epoch)
 
     def target_of(self, host_id: bytes) -> str:
-        """The gatekeeper of a host; empty if the host is not alive."""
+        """The address of a host: its name. Empty if the host is not alive."""
         host = self.log.directory.tables.hosts[host_id]
         return host.name if host.alive else ""
 
@@ -116,7 +118,7 @@ class World:
             task.cancel()
 
     def allow(self, to: int, epoch: int | None = None, channel_id: bytes = b"") -> None:
-        """Tell the owner that a host may ask for the channel, as a client with the right does before a move."""
+        """Allow a host to ask the owner for the channel. A client does this with AllowMove before a move."""
         record = self.record_of(channel_id or self.channel_id)
         self.owner_of(record.channel_id).outgoing.allowed.allow(record.channel_id, epoch or record.epoch, id_of(to))
 
@@ -140,7 +142,7 @@ class World:
         return 0.0
 
     def passes(self, link: Any) -> None:
-        """Note that a message begins its way over a link."""
+        """Called when a message begins its way over a link. Subclasses override it."""
 
     def reaches(self, link: Link) -> bool:
         """Whether there is a way between the hosts of a link."""
@@ -151,7 +153,7 @@ class World:
         return host is self.hosts[DESTINATION]
 
     async def on_the_way(self, host: Host) -> None:
-        """A call of a host is on its way to the directory, or the answer on its way back."""
+        """Wait while a call of a host is on its way to the directory, or while the answer is on its way back."""
         await asyncio.sleep(0)
 
     def expire(self, number: int) -> None:

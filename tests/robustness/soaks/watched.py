@@ -31,7 +31,9 @@ from tests.robustness.soaks.scraped import put_forever
 CHANNELS = 20
 PAGE = "the page"
 TOLD = "a/told"
-"""The channel of the item that comes after each kill. It is the page's first row, so the page shows its card."""
+"""The channel of the item that comes after each kill. The page shows cards of the first rows only, and this name is the
+first one in their order.
+"""
 BACK_SECONDS_MAX = 60.0
 PAGE_BYTES_MAX = 200 * 2**20
 """The most resident memory of the page's server. With one tab it has about 70 MiB."""
@@ -137,7 +139,7 @@ async def _soak(cluster: LocalCluster, watcher: Watcher, minutes: float) -> int:
         ended = await asyncio.gather(*putting, return_exceptions=True)
     wrong = watcher.wrong + [f"a program failed: {e!r}" for e in ended if not isinstance(e, asyncio.CancelledError)]
     slowest, seconds = max(watcher.kills, key=lambda one: one[1])
-    print(f"{len(watcher.kills)} kills; the tab was right at most {seconds:.1f} s after the start ({slowest})")
+    print(f"{len(watcher.kills)} kills; after the slowest restart ({slowest}) the page was right in {seconds:.1f} s")
     print(f"the page's server had {watcher.bytes_max / 2**20:.0f} MiB at most")
     for line in wrong:
         print(f"WRONG: {line}")

@@ -215,5 +215,5 @@ def test_the_supernode_program_refuses_client_verbs_and_names_the_client_program
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert main(["status"]) == 2
-    expected = "stampede supernode: the client runs 'status'; write: stampede supernode status\n"
+    expected = "stampede supernode: this program has no verb 'status'; the client has it: stampede supernode status\n"
     assert capsys.readouterr().err == expected

@@ -20,7 +20,7 @@ HOW = """To complete commands in every new shell:
 
 
 def add_verbs(subparsers: Any) -> None:
-    """Add the verb of this module. It loads nothing else, because shells may call it at their start."""
+    """Add the verb `completion`. It loads no other module of the client: shells may run it at their start."""
     text = VERBS["completion"][1]
     verb = subparsers.add_parser(
         "completion",

@@ -81,7 +81,7 @@ def _folder_of(text: str) -> Path:
 def cannot_host(error: Exception) -> InvalidArgument:
     """The error for the caller of `stampede_rt.host`. It names the arguments instead of the flags of `stampede host`.
 
-    The flags of other commands, and flags that have no argument, stay.
+    Flags of other commands, and flags for which `stampede_rt.host` has no argument, stay.
     """
     text = _FLAG.sub(lambda found: _ARGUMENTS.get(found[0], found[0]), str(error))
     return InvalidArgument(f"this process cannot host channels: {text}")
@@ -96,7 +96,7 @@ def credentials_of(given: Credentials) -> Dialer:
         found = Secret(text=secret, path=Path("the argument `secret`")) if secret else None
     if found is not None and is_token(found.text):
         raise PermissionDenied(
-            "a process with a client token cannot host channels, because hosts check callers; give it the "
-            "cluster's secret, or a certificate of the role host"
+            "a process with a client token cannot host channels, because the token proves only a client; give the "
+            "process the cluster's secret, or a certificate of the role host"
         )
     return Dialer(secret=found, tls=load_tls(given.tls.files, Role.HOST) if given.tls else None)

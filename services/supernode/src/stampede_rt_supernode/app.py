@@ -86,8 +86,8 @@ async def serve(settings: SupernodeSettings) -> None:
         await OwnAddress(founding.supernode_id, founding.address, 0, credentials).check()
     if settings.data_dir is None and not settings.members:
         logger.info(
-            "this supernode is the only one, and keeps the directory in memory; to keep it on disk, name a folder that "
-            "`stampede supernode init` or `join` has prepared, in --data-dir",
+            "this supernode is the only one, and keeps the directory in memory; to keep it on disk, prepare a "
+            "folder with `stampede supernode init` or `join`, and name this folder with --data-dir",
             extra={"event": "kept_in_memory"},
         )
     async with _open_log(settings, founding, server, credentials, replica) as log:
@@ -101,7 +101,8 @@ async def serve(settings: SupernodeSettings) -> None:
             serving_metrics(settings.metrics_address(), "supernode", server, metrics.collect),
             background(server, *work),
         ):
-            # Printed after `run` has begun to handle stop signals, because its reader may send one immediately.
+            # `run` handles stop signals from its begin on. So the ready line comes after it: the reader of the line may
+            # send a signal immediately.
             ready = f"stampede supernode {parts.members.self_id} ready on {address}"
             asyncio.get_running_loop().call_soon(announce, ready)
             await server.run(parts.end_streams)
@@ -245,9 +246,9 @@ async def _for_good(work: Coroutine[Any, Any, None]) -> None:
 
 
 async def _follow_own_state(server: ServiceServer, parts: _Parts, *, keeps: bool) -> None:
-    """Look at the state of this supernode again and again, in one loop, so that an idle supernode wakes up rarely.
+    """Follow the state of this supernode, in one loop for all that depends on it.
 
-    Have the health service say SERVING as long as this supernode can serve, and NOT_SERVING otherwise. `keeps`: whether
+    The health service answers SERVING as long as this supernode can serve, and NOT_SERVING otherwise. `keeps`: whether
     the supernode was started with a data folder.
     """
     serving = is_diverged = False
@@ -282,7 +283,7 @@ def _end_if_refused(status: ReplicationStatus, *, keeps: bool) -> None:
     if status.has_old_store:
         raise StampedeError(
             f"supernode {status.self_id} has reported entries or a term that its data folder lacks. The folder is "
-            f"an older copy, for example of a restored disk or machine: use the latest data folder, or {anew}"
+            f"older, for example because a backup of the disk was restored: use the latest data folder, or {anew}"
         )
 
 
@@ -308,7 +309,8 @@ async def _watch_founding(server: ServiceServer, parts: _Parts, founding: Foundi
         if other := parts.log.status().other_cluster:
             raise StampedeError(
                 f"supernode {founding.supernode_id} founds no cluster with --members {', '.join(founding.members)}: "
-                f"one of them was given another list, or is of another cluster ({other}); give all the same --members"
+                f"one of them was given another list, or is of another cluster ({other}); start each of them with the "
+                "same --members"
             )
         await asyncio.sleep(HEALTH_SECONDS)
     await asyncio.Event().wait()
@@ -334,6 +336,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _not_a_verb(word: str) -> str:
     if word in ADMINISTRATIVE_VERBS:
-        return f"the client runs {word!r}; write: stampede supernode {word}"
+        return f"this program has no verb {word!r}; the client has it: stampede supernode {word}"
     verbs = ", ".join((*PREPARING, *ADMINISTRATIVE_VERBS))
     return f"there is no verb {word!r}; the verbs are {verbs}; flags without a verb start a supernode"

@@ -58,5 +58,5 @@ def test_unchanged_consumer_places_are_left_out() -> None:
 
 def test_a_run_whose_items_are_not_judged_is_refused() -> None:
     run = pb.FedRun(first_number=1, items=2, judged_items=2, parts=[pb.FedRunPart(first_seq=1, items=1)])
-    with pytest.raises(InvalidArgument, match="without a judgement"):
+    with pytest.raises(InvalidArgument, match="without a valid judgement"):
         owner_of(pb.OwnerFacts(producers=[pb.FedProducer(producer_id=1, runs=[run])]), 0)

@@ -55,7 +55,7 @@ async def defect(one: Port, stream: RawStream) -> None:
 async def defect_in_same_turn(one: Port, stream: RawStream) -> None:
     await stream.begin(SAME_TURN)
     kind = FrameKind.MESSAGE
-    while kind == FrameKind.MESSAGE:  # the method echoes a message that came before it waited for one
+    while kind == FrameKind.MESSAGE:  # the method echoes a message that comes before it waits; then send another one
         await stream.send(FrameKind.MESSAGE, b"defect")
         kind = (await stream.frame() or (FrameKind.STATUS,))[0]
 
@@ -100,7 +100,8 @@ def of_the_service() -> Counter[str]:
 async def test_an_ended_stream_is_freed_without_the_garbage_collector(
     port: Open, end: Callable[[Port, RawStream], Awaitable[None]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server.logger, "disabled", True)  # pytest keeps the errors of log lines
+    # pytest keeps the exceptions of log lines, and so the objects in their frames
+    monkeypatch.setattr(server.logger, "disabled", True)
 
     async def stream(one: Port) -> None:
         async with raw_stream(one.target) as stream:
@@ -108,7 +109,7 @@ async def test_an_ended_stream_is_freed_without_the_garbage_collector(
         await until(lambda: not one.server.sockets._streams)
 
     async with port() as one:
-        await stream(one)  # makes the objects of the service
+        await stream(one)  # makes the objects that the service makes once and keeps
         gc.collect()
         before = of_the_service()
         gc.disable()

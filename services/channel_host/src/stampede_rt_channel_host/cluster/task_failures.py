@@ -9,8 +9,8 @@ from typing import Any
 def first_failure(group: BaseExceptionGroup[Any]) -> BaseException:
     """The first failure of the tasks of a TaskGroup. Raises CancelledError if the present task was cancelled.
 
-    A TaskGroup of Python 3.11 and 3.12 raises only the failures if one of its tasks fails in the same turn as the
-    cancellation. Without this check the cancelled task would continue.
+    If a task of the group fails in the turn in which the present task is cancelled, Python 3.11 and 3.12 raise the
+    failure, and not CancelledError. Without this check the cancelled task would continue.
     """
     present = asyncio.current_task()
     if present is not None and present.cancelling():

@@ -1,6 +1,7 @@
-"""Converts the facts that only a channel's owner knows to and from protobuf (`OwnerFacts` in `replica_service.proto`).
+"""Converts the facts of a channel's owner to protobuf (`x_to`) and from it (`x_of`): `OwnerFacts` and `FedPut` in
+`replica_service.proto`.
 
-Times become durations on the wire, because the clocks of two hosts differ.
+The time of a judgement is a duration on the wire, because the clocks of two hosts differ. Times of items stay instants.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ from stampede_rt_channel_host.core.run_outcome import ItemRefusal, RunOutcome, R
 
 
 def owner_to(part: OwnerPart, now: int) -> pb.OwnerFacts:
-    """A part with counters, as a message. `now`: the owner's clock."""
-    assert isinstance(part.counters, Counters), "see `put_to`"
+    """The message of a part that has the whole counters. `now`: the owner's clock."""
+    assert isinstance(part.counters, Counters), "the part of one put goes to `put_to`"
     return pb.OwnerFacts(
         producers=[_producer_to([*runs], now) for _, runs in groupby(part.runs, lambda run: run.producer_id)],
         consumers=None if part.places is None else _places_to(part.places),
@@ -43,8 +44,8 @@ def owner_of(message: pb.OwnerFacts, now: int) -> OwnerPart:
 
 
 def put_to(part: OwnerPart, now: int) -> pb.FedPut:
-    """A part with a `GrowingCounts`, as a message. `now`: the owner's clock."""
-    assert isinstance(part.counters, GrowingCounts), "see `owner_to`"
+    """The message of a part that has only the counters of one put. `now`: the owner's clock."""
+    assert isinstance(part.counters, GrowingCounts), "a part with the whole counters goes to `owner_to`"
     (run,) = part.runs
     (accepted,) = run.outcome.parts
     return pb.FedPut(
@@ -99,7 +100,7 @@ def _producer_to(runs: list[KeptRun], now: int) -> pb.FedProducer:
 
 
 def run_to(first_number: int, outcome: RunOutcome, now: int) -> pb.FedRun:
-    """The judgement of a run. `now`: the clock that it was judged by."""
+    """The message of a run's judgement. `now`: the present time of the clock by which the host has judged the run."""
     return pb.FedRun(
         first_number=first_number,
         items=outcome.items,
@@ -121,12 +122,14 @@ def _runs_of(producer: pb.FedProducer, now: int) -> Iterator[KeptRun]:
         outcome = outcome_of(run, now)
         accepted = sum(one.items for one in outcome.parts)
         if not producer.producer_id or not accepted or accepted + len(run.rejections) != run.judged_items:
-            raise InvalidArgument("the feed has a run without a judgement; install the same release on both hosts")
+            raise InvalidArgument(
+                "the feed has a run without a valid judgement; install the same release on both hosts"
+            )
         yield KeptRun(producer.producer_id, run.first_number, outcome, producer.owner)
 
 
 def outcome_of(run: pb.FedRun, now: int) -> RunOutcome:
-    """The judgement of a run, by the clock that shows `now`."""
+    """The judgement of a run, from its message. Its time is by the clock that shows `now`."""
     parts = tuple(map(_part_of, run.parts))
     refusals = tuple(ItemRefusal(one.index, from_error_message(one.error)) for one in run.rejections)
     return RunOutcome(run.items, run.judged_items, parts, refusals, now - run.judged_ago_nanos)

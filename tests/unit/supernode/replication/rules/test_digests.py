@@ -52,7 +52,7 @@ def snapshot_at(index: int, *, with_digest: bool) -> bytes:
     return snapshot.SerializeToString()
 
 
-def test_a_snapshot_of_this_release_is_compared_where_it_ends() -> None:
+def test_a_snapshot_with_a_digest_is_compared_at_its_last_position() -> None:
     follower = Follower(snapshot_at(2, with_digest=True))
     follower.digests.compare(2, b"another state's")
     assert (follower.digests.doubtful_at, follower.digests.diverged_at) == (2, 0)
@@ -101,7 +101,7 @@ ONE, OTHER = b"one state", b"another one"
 
 
 def polled(own_digest: bytes, answers: dict[str, bytes], *, voters: int) -> DigestPoll:
-    """A leader's poll at position 7 among this number of other voters, "a", "b", ..."""
+    """A leader's poll at position 7 among `voters` other voters, "a", "b", ..."""
     poll = DigestPoll()
     poll.ask(0.0, (7, own_digest), [])
     for name, digest in answers.items():
@@ -142,14 +142,14 @@ def test_a_doubt_ends_when_its_member_is_removed_or_agrees() -> None:
     poll = polled(ONE, {"a": OTHER, "b": OTHER}, voters=3)
     assert poll.doubts == {"a": 7, "b": 7}
     poll.answered("b", (7, ONE), "bcd")
-    assert poll.doubts == {}, "one member has left, and the other was restarted"
+    assert poll.doubts == {}, "one member was removed, and the other one agrees now"
 
 
-def test_a_leader_asks_for_a_digest_until_all_connected_members_have_answered_or_up_to_a_limit() -> None:
+def test_a_leader_asks_for_a_digest_until_all_connected_members_answer_or_six_seconds_are_over() -> None:
     poll = DigestPoll()
     assert poll.of_most("ab") == NO_DIGEST
     poll.ask(0.0, (5, b""), "ab")
-    assert poll.named_state == NO_DIGEST, "a leader that has no digest names none"
+    assert poll.named_state == NO_DIGEST, "a leader without a digest names no position"
     poll.ask(0.0, (7, ONE), "ab")
     poll.ask(0.4, (8, ONE), [])
     assert poll.named_state == (7, ONE)
@@ -166,12 +166,12 @@ def test_a_leader_asks_for_a_digest_until_all_connected_members_have_answered_or
     assert poll.of_most("ab") == NO_DIGEST, "those answers were about another position"
 
 
-def test_a_member_sends_its_digest_at_the_position_named_last_when_it_has_reached_that_position() -> None:
+def test_a_member_sends_its_digest_once_it_has_reached_the_position_that_the_leader_named_last() -> None:
     digests = Digests(lambda digest: None)
     digests.note(5, ONE)
     digests.compare(7, ONE)
     assert digests.answer == NO_DIGEST
-    digests.note(6, b"then")
+    digests.note(6, b"an earlier state")
     digests.note(7, OTHER)
     assert (digests.answer, digests.doubtful_at) == ((7, OTHER), 7)
     digests.compare_with_majority(7, OTHER)

@@ -1,8 +1,7 @@
 """Counts the items that a reader in time order will never get, although they belong to its subscription. Pure.
 
-A key and a seq state the position of a reader: it is done with the items that lie below the key and have a lower seq.
-All other items are owed: the items at or above the key, and the items with that seq or a later seq. An owed item that
-the reader has not got, and that the channel does not hold any more, is lost.
+The position of a reader is a key and a seq. The reader is done with each item that has a lower key and a lower seq. All
+other items are owed. An owed item is lost if the reader has not got it and the channel does not hold it any more.
 """
 
 from __future__ import annotations
@@ -17,14 +16,14 @@ from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
 
 LOOKED_AT_MAX = 4096
-"""The most items or slices at which a search for the lowest owed seq looks."""
+"""A search for the lowest owed seq looks at this number of items or slices at most."""
 
 
 class LossCounter:
     """Counts the owed and the lost items of one reader of one channel.
 
-    Most calls look only at the items that came, or that the reader got, after the last call. All items that the next
-    `mark_read` finds lost have the seq `lowest_seq` or a later one.
+    Most calls look only at the items that came, or that the reader got, after the last call. The items that
+    the next `mark_read` counts as lost have no seq below `lowest_seq`.
     """
 
     __slots__ = ("_consumed", "_floor", "_held_from", "_low", "_owed", "lowest_seq", "next_seq")
@@ -36,7 +35,7 @@ class LossCounter:
         self._low = low
         # `_owed`: the number of held items at or above `_low` with a seq below `next_seq`
         self._owed, self.lowest_seq = _owed(held, low, next_seq)
-        self._held_from = self.lowest_seq  # all these items have this seq or a later one
+        self._held_from = self.lowest_seq  # the search for the lowest owed seq continues here
         self._remember(held, low, next_seq)
 
     def mark_read(
