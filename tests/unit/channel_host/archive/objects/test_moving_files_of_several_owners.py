@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from stampede_rt.values.seq_starts import start_of
+from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.objects.moving_files import MovingFiles
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits
 from stampede_rt_channel_host.archive.written_parts import Advances, MissingSeqs
@@ -56,6 +57,29 @@ async def test_a_read_before_the_file_of_the_former_owner_came_does_not_double_i
     assert seqs(files, after) == ITEMS
     window = files.load(after, ALL, decode, lambda: None)
     assert window.holes == []
+
+
+@pytest.mark.asyncio
+async def test_a_file_moves_to_the_store_although_a_later_file_of_another_owner_is_there(tmp_path: Path) -> None:
+    """In an earlier version, it stayed in the folder until the next start, and a clean stop did not count it."""
+    store = FakeStore()
+    first = opened_files(tmp_path / "a", store, 1, cut)
+    write(first, 1, 2)
+    first.close(None)
+    second = opened_files(tmp_path / "b", store, 2, cut)
+    write(second, 5, 2)
+    second.close(None)
+    await move(second, store)
+    returned = opened_files(tmp_path / "a", store, 3, cut)  # the channel moves back before the first file has moved
+    write(returned, 9, 1)
+    assert returned.local_bytes() == returned.segments[0].length + returned.segments[2].length
+    returned.close(CleanStop(1, None))
+    assert returned.name_of_stop() is None, "the store does not have all segments"
+    await move(returned, store)
+    assert returned.local_bytes() == 0
+    assert returned.name_of_stop() is not None
+    last = opened_files(tmp_path / "c", store, 4, cut)
+    assert seqs(last, last.segments) == [*ITEMS, 9, 10]
 
 
 @pytest.mark.asyncio

@@ -122,12 +122,19 @@ class MovingFiles(SegmentFiles):
         self.waiting = tuple(one for one in closed if self.stored.file_of(one.number).exists())
 
     def _local(self) -> tuple[Segment, ...]:
-        """The segments in the folder. They are the last ones, because segments move in order."""
-        segments = self._segments
-        at = len(segments)
-        while at and not self.stored.is_stored(segments[at - 1].number):
-            at -= 1
-        return segments[at:]
+        """The segments in the folder. Most are the last ones, because the segments of one owner move in order.
+
+        A channel may have moved away and back before an earlier file has moved to the store. Does not look at all
+        segments, because a channel may have very many.
+        """
+        found: list[Segment] = []
+        least = len(self._segments) - self.stored.stored_objects
+        for one in reversed(self._segments):
+            if not self.stored.is_stored(one.number):
+                found.append(one)
+            elif len(found) >= least:
+                break
+        return tuple(reversed(found))
 
     def settle(self, packed: PackedSegment) -> tuple[Segment, ...]:
         """Note that a segment is in the store, and delete its file. Returns all segments. Raises OSError."""
