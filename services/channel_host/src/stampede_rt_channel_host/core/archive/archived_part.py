@@ -1,4 +1,4 @@
-"""The items of a subscription that have left memory: items of an archive, in the order of their seqs. Pure."""
+"""Reads the items of a subscription that have left memory from an archive, part by part, in the order of seqs. Pure."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ LACKED = Reason(
     "is damaged or removed",
 )
 STRADDLING_MAX = 16
-"""The most additional blocks that a part loads, for items with times between the times in its own blocks."""
+"""A part loads at most this many blocks of other seqs, whose items have times between the times of the part."""
 
 
 class ChosenPart(NamedTuple):
-    """The blocks of the next seqs, and other blocks with items whose times lie between the times of these blocks.
+    """The blocks to load for the next part of a subscription.
 
-    `end_seq`: the blocks have all archived items below this seq. `following`: the time of the first bucket after all
-    these blocks, or None. `ends`: the end seqs of segments after which an owner began at a higher seq.
+    `blocks` have the items of the next seqs, up to `end_seq`, exclusive. `among` are blocks of other seqs: their items
+    have times between the times of `blocks`, so they end spans there. `following`: the time of the first bucket after
+    all these blocks, or None. `ends`: the end seqs of segments after which an owner began at a higher seq.
     """
 
     blocks: Sequence[tuple[Segment, PlacedBlock]]
@@ -41,7 +42,7 @@ class ChosenPart(NamedTuple):
 
 
 class ArchivedPart(NamedTuple):
-    """The loaded items of the next seqs, with other items whose times lie between their times."""
+    """The loaded items of a `ChosenPart`: those of the next seqs, and those with times between them."""
 
     items: ChannelIndex
     end_seq: int
@@ -50,7 +51,7 @@ class ArchivedPart(NamedTuple):
 
 
 def choose_part(segments: Sequence[Segment], blocks_of: BlocksOf, missing: Range, bytes_max: int) -> ChosenPart:
-    """The blocks for the seqs `missing`, of about `bytes_max`."""
+    """Choose blocks of about `bytes_max` for the first of the seqs `missing`."""
     blocks = choose_by_seq(segments, blocks_of, missing[0], bytes_max)
     blocks = [one for one in blocks if one[1].head.first_seq < missing[1]]
     ends = [before.end_seq for before, after in pairwise(segments) if after.begin > before.end_seq]

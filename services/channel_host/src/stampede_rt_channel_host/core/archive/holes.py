@@ -1,4 +1,4 @@
-"""Items that an archive lacks, next to items that a read takes. Pure."""
+"""Finds the items that an archive lacks before, between and after the items that a read takes. Pure."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BlocksOf = Callable[[Segment], SegmentBlocks]
 
 
 class Hole(NamedTuple):
-    """A hole: items that an archive lacks. Their times lie between `start` and `end`, unless they came late.
+    """Items that an archive should have, and lacks. Their times lie between `start` and `end`, unless they came late.
 
     `items` is 0 if an owner was lost, and no host knows which items it had.
     """
@@ -27,22 +27,26 @@ class Hole(NamedTuple):
 
 
 class WindowReach(NamedTuple):
-    """A window looked at the times from `low` to `high`, inclusive. Memory has the items from the time `border` on."""
+    """The times from `low` to `high`, inclusive: a window has looked for the archived items of these times.
+
+    The window needs no archived items from the time `border` on, because memory has them.
+    """
 
     low: int
     high: int
     border: int = LAST_KEY[0]
 
     def meets(self, segment: Segment) -> bool:
-        """Whether the segment has items at these times, or between two of its items."""
+        """Whether the times from the first to the last item of the segment overlap with the times of the window."""
         low, high = segment.low, segment.high
         return low is not None and high is not None and low[0] <= self.high and self.low <= high[0]
 
 
 def holes(blocks: SegmentBlocks, taken: Set[int]) -> Iterator[Hole]:
-    """The holes next to the blocks that a read took: items that were never archived, or whose block has a damaged head.
+    """Yield the holes directly before and after the blocks that a read took from one segment.
 
-    `taken`: the offsets of these blocks.
+    The items of a hole were never archived, or the head of their block is damaged. `taken`: the offsets of the blocks
+    that the read took.
     """
     positions = {blocks.position(offset) for offset in taken}
     for at in sorted(positions | {at - 1 for at in positions if at}):
@@ -54,9 +58,9 @@ def holes(blocks: SegmentBlocks, taken: Set[int]) -> Iterator[Hole]:
 def border_holes(
     segments: Sequence[Segment], blocks_of: BlocksOf, taken: Mapping[Segment, Set[int]], reach: WindowReach
 ) -> Iterator[Hole]:
-    """The holes at the borders of segments, which `holes` does not find.
+    """Yield the holes at the borders of segments. The function `holes` finds only holes within a segment.
 
-    They are: segments without a readable block, and holes next to blocks that the read took. Such a hole is between two
+    A segment without a readable block is a hole. Each other hole lies next to a block that the read took: between two
     segments, before all items, or after all items. `taken`: the offsets of the blocks that the read took.
     """
     with_items = [one for one in segments if one.items]
@@ -85,12 +89,12 @@ def _holes_between(
     records_loss = _records_loss((*segments[first + 1 : end], later), following.head.first_seq, blocks_of)
     yield from _between(last, following, [one.end_seq for one in segments[first:end]], records_loss=records_loss)
     for lost_before in _losses(segments, earlier, later, blocks_of):
-        # the last items before the loss may have times in the future
+        # the last items before the loss may have times after the loss; the hole then begins when they were accepted
         yield _hole(min(last.head.high[0], earlier.last_accepted), lost_before, 0)
 
 
 def _unreadable(with_items: Sequence[Segment], blocks_of: BlocksOf, reach: WindowReach) -> Iterator[Hole]:
-    """The segments within reach that have no readable block."""
+    """Yield a hole for each segment within reach that has no readable block."""
     for one in with_items:
         if one.low is None or one.high is None or one.low[0] > reach.high or one.high[0] < reach.low:
             continue
@@ -105,10 +109,10 @@ def _first_hole(segments: Sequence[Segment], first_readable: Segment | None, blo
     """
     if first_readable is not None and (first := blocks_of(first_readable).items_at(0)) is not None:
         missing, end = given_between(segments[0].first_seq, first.head.first_seq), first.head.low[0] - 1
-        is_cut = given_between(1, segments[0].first_seq) > 0
+        has_dropped = given_between(1, segments[0].first_seq) > 0
         if missing:
-            yield Hole(end if is_cut else MIN_INSTANT, end, missing)
-        for lost_before in () if is_cut else _losses(segments, None, first_readable, blocks_of):
+            yield Hole(end if has_dropped else MIN_INSTANT, end, missing)
+        for lost_before in () if has_dropped else _losses(segments, None, first_readable, blocks_of):
             yield Hole(MIN_INSTANT, lost_before - 1, 0)
 
 
@@ -162,9 +166,9 @@ def _readable(segments: Iterable[Segment], blocks_of: BlocksOf) -> Segment | Non
 
 
 def _losses(segments: Sequence[Segment], earlier: Segment | None, later: Segment, blocks_of: BlocksOf) -> Iterator[int]:
-    """Yield the instants before which a host was lost, as recorded in `later`.
+    """Yield the instants before which a host was lost.
 
-    Yields also those recorded in the segments without items between `earlier` and `later`.
+    The segment `later` records them, or a segment without items between `earlier` and `later`.
     """
     first = 0 if earlier is None else bisect_right(segments, earlier.number, key=_number)
     for one in segments[first : bisect_right(segments, later.number, key=_number)]:
@@ -174,7 +178,7 @@ def _losses(segments: Sequence[Segment], earlier: Segment | None, later: Segment
 
 
 def _records_loss(segments: Iterable[Segment], first_seq: int, blocks_of: BlocksOf) -> bool:
-    """Whether one of the segments records the loss before the owner that has accepted the item `first_seq`."""
+    """Whether one of the segments records that a host was lost before the owner of the item `first_seq` began."""
     begin = begin_of(1, first_seq + 1)
     return any(one.begin == begin and blocks_of(one).records_loss for one in segments)
 
@@ -184,8 +188,9 @@ def _number(segment: Segment) -> int:
 
 
 def begins_anew(end_seq: int, first_seq: int) -> bool:
-    """Whether an owner has begun at a seq after `end_seq`, and not after `first_seq`, because its former owner was
-    lost. If no segment records this loss, the segment with the record is lost, too.
+    """Whether an owner has begun at a seq above `end_seq` and at most `first_seq`, because the former owner was lost.
+
+    The new owner records this loss in a segment. If no segment has the record, the segment with the record is lost.
     """
     return begin_of(end_seq, first_seq + 1) > end_seq
 
@@ -205,6 +210,6 @@ def _between(
 
 
 def _hole(before: int, after: int, missing: int) -> Hole:
-    """The hole between two times."""
+    """The hole of `missing` items between two times: the time of the item before it, and of the item after it."""
     start, end = sorted((before, after))
     return Hole(start + 1, end - 1, missing) if end - start > 1 else Hole(start, end, missing)

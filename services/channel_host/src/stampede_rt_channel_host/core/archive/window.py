@@ -29,7 +29,7 @@ BlocksOf = Callable[[Segment], SegmentBlocks]
 
 
 AT_HAND_BYTES, AT_HAND_BLOCKS = 2**19, 8
-"""The most bytes and blocks of a window that is short enough to be read without a thread."""
+"""If a window has at most this many bytes and blocks, the host reads it without a thread."""
 
 
 class WindowNeedsThread(Exception):
@@ -37,7 +37,8 @@ class WindowNeedsThread(Exception):
 
 
 class WantedItems(NamedTuple):
-    """The items that a read wants from an archive: the items from `start` on, with the bucket before it, below `high`.
+    """The items that a read wants from an archive: those from `start` on and below `high`, and the last bucket before
+    `start`, whose spans may reach `start`.
 
     `overlap` is the overlap of the channel in nanoseconds. `from_time`: the read continues at this time, and wants no
     earlier item. `down`: the read wants the latest items first. `bytes_max`: about how many bytes one window may have.
@@ -61,7 +62,7 @@ class WantedItems(NamedTuple):
 
 
 class ChosenBlocks(NamedTuple):
-    """The blocks to load, with their segments.
+    """The blocks that a read loads for its next window, with their segments.
 
     `edge`: the time at which the read continues. In a read upwards, all buckets of this window are before `edge`; in a
     read downwards, all are after it. None: the blocks have all wanted items. `following` is the time of the first
@@ -110,9 +111,9 @@ def choose(segments: Sequence[Segment], blocks_of: BlocksOf, wanted: WantedItems
 
 
 class _GrowingWindow:
-    """A window to which blocks are added: `taken`, of `size` bytes.
+    """The blocks chosen for a window so far: `taken`, of `size` bytes together.
 
-    A window cannot end within a bucket, so `bytes_limit` bounds it.
+    A window ends only after a whole bucket. A bucket may be very large, so `bytes_limit` bounds the window.
     """
 
     def __init__(self, wanted: WantedItems, low: int) -> None:
@@ -121,7 +122,8 @@ class _GrowingWindow:
         self.size = 0
         self._wanted = wanted
         self._first = low if wanted.overlap else wanted.start if wanted.from_time is None else wanted.from_time
-        self._least, self._greatest = LAST_KEY[0], FIRST_KEY  # the window may end at these keys
+        # the earliest time from `_first` on, and the last key below `high`: see `may_end`
+        self._least, self._greatest = LAST_KEY[0], FIRST_KEY
 
     def take(self, segment: Segment, block: PlacedBlock) -> None:
         """Add a block. Raises Overloaded if the window becomes too large."""
@@ -156,8 +158,9 @@ class _GrowingWindow:
 
 
 def _low_time(segments: Sequence[Segment], blocks_of: BlocksOf, wanted: WantedItems) -> int:
-    """The earliest time at which the read needs items. It is at or before the last bucket before `start`, because the
-    spans of this bucket may reach `start`.
+    """The earliest time at which the read needs items.
+
+    The read needs also the last bucket before `start`, because the spans of this bucket may reach `start`.
     """
     start = wanted.start
     before = FIRST_KEY[0]
@@ -176,8 +179,9 @@ def _low_time(segments: Sequence[Segment], blocks_of: BlocksOf, wanted: WantedIt
 
 
 def _up(segments: Sequence[Segment], blocks_of: BlocksOf, low: ItemKey) -> Iterator[tuple[Segment, PlacedBlock]]:
-    """The blocks that reach to `low` or beyond, by their least key. Loads the blocks of a segment only when the caller
-    needs the next one of them.
+    """Yield the blocks that end at `low` or later, in the order of their least keys.
+
+    Loads the blocks of a segment only when the caller needs the first one of them.
     """
     due = sorted((one for one in segments if one.high is not None and one.high >= low), key=_least)
     merging = _BlockMerge(lambda block: block.head.low)
@@ -189,7 +193,7 @@ def _up(segments: Sequence[Segment], blocks_of: BlocksOf, low: ItemKey) -> Itera
 def _down(
     segments: Sequence[Segment], blocks_of: BlocksOf, low: ItemKey, high: ItemKey
 ) -> Iterator[tuple[Segment, PlacedBlock]]:
-    """The blocks with keys from `low` up to `high`, by their greatest key, the last one first."""
+    """Yield the blocks with keys from `low` up to `high`, in the order of their greatest keys, the greatest first."""
     due = [one for one in segments if one.high is not None and one.high >= low and _least(one) < high]
     due.sort(key=_greatest, reverse=True)
     merging = _BlockMerge(lambda block: _mirrored(block.head.high))
@@ -204,7 +208,7 @@ def _mirrored(key: ItemKey) -> ItemKey:
 
 
 class _BlockMerge:
-    """Merges the blocks of several segments. `key` gives the key by which the blocks of each segment ascend."""
+    """Merges the blocks of several segments into one order. `key` returns the place of a block in this order."""
 
     def __init__(self, key: Callable[[PlacedBlock], ItemKey]) -> None:
         self._key = key
@@ -217,7 +221,7 @@ class _BlockMerge:
             heappush(self._next, (self._key(block), segment.number, block, segment, blocks))
 
     def below(self, bound: ItemKey) -> Iterator[tuple[Segment, PlacedBlock]]:
-        """The next blocks, whose keys are below `bound`."""
+        """Yield the next blocks, as long as their keys are below `bound`."""
         while self._next and self._next[0][0] < bound:
             _, _, block, segment, blocks = heappop(self._next)
             self.begin(segment, blocks)
