@@ -181,7 +181,7 @@ class World:
         if wire.blocked or receiver is None or self.wires[ends[1], ends[0]].blocked:
             self._plan_connect(ends)
             return
-        if ends[1] not in sender.roster.peers or ends[0] in receiver.roster.removed:
+        if ends[1] not in sender.roster.peers or ends[0] in receiver.roster.former_ids:
             self._plan_connect(ends)
             return
         if sender.highest_level < receiver.feature_level:

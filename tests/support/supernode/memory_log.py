@@ -106,7 +106,7 @@ class MemoryLog:
             members=[SELF, self.other],
             feature_level=self.machine.feature_level,
             highest_levels=self._levels(),
-            retired=self.retired,
+            former_ids=self.retired,
         )
 
     def _levels(self) -> dict[str, int]:

@@ -30,13 +30,13 @@ from stampede_rt_runtime.metrics.serving import serving_metrics
 from stampede_rt_runtime.server import ServiceServer
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS
 from stampede_rt_supernode.background import background
-from stampede_rt_supernode.core.access.queries import access_state, things_of_callers
+from stampede_rt_supernode.core.access.queries import access_state, quota_counts_of_callers
 from stampede_rt_supernode.joining.copied_folder import OwnAddress
 from stampede_rt_supernode.joining.founding import FoundingRecord, misplacement_warning, note_started, read_founding
 from stampede_rt_supernode.joining.members import Members, why_diverged
 from stampede_rt_supernode.joining.preparing import PREPARING, prepare
 from stampede_rt_supernode.joining.probe import Probe
-from stampede_rt_supernode.joining.volunteering import NEWER_RELEASE, volunteer
+from stampede_rt_supernode.joining.volunteering import NEWER_RELEASE, ask_to_join
 from stampede_rt_supernode.metrics import SupernodeMetrics
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication import (
@@ -66,18 +66,18 @@ from stampede_rt_supernode.settings import SupernodeSettings
 logger = logging.getLogger(__name__)
 
 HEALTH_SECONDS = 0.1  # how often the supernode looks at its own state
-ACCESS_SECONDS = 0.25  # how often it ends the streams of callers that have lost a right
-HAND_OVER_SECONDS = 1.2  # how long it waits at its end until another member leads
+ACCESS_SECONDS = 0.25  # how often the supernode ends the streams of callers that have lost a right
+HAND_OVER_SECONDS = 1.2  # how long a stopping supernode waits until another member leads
 
 
 async def serve(settings: SupernodeSettings) -> None:
     """Serve until a stop signal. Raises CannotListen or StampedeError if it cannot start."""
-    gc.disable()  # nothing becomes garbage during the load of the state
+    gc.disable()  # `GarbageCollection` below enables it; the load of the state makes no garbage
     credentials = settings.load_credentials(Role.SUPERNODE)
     replica = DirectoryReplica()
     own_cluster = OwnCluster(replica)
     server = _make_server(credentials, own_cluster, reflection=settings.reflection)
-    # Bound before anything else, because the log and the other members need the address.
+    # The server gets its address first, because the log passes the address to the other members.
     address = server.bind(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
     founding = settings.founding(address)
     own_cluster.learn(founding.log_cluster_id)
@@ -138,7 +138,7 @@ class _Parts:
     async def end_streams(self) -> None:
         """End all watches, so that callers use another supernode. Hand the leadership over. Then close the log.
 
-        Because of the hand-over, the other members need not wait for an election timeout.
+        After the hand-over another member leads without waiting for an election timeout.
         """
         self.watches.close()
         with contextlib.suppress(LogUnavailable):
@@ -159,7 +159,7 @@ def _assemble(
     submission = Submission(log, replica, time_unix_nano=clock.time_unix_nano)
     leases = LeaseKeeper(log, replica, submission, clock=clock, founding_ttl_nanos=settings.lease_ttl_nanos)
     leases.founding_cluster_id = "" if founding.listed or founding.joining else founding.log_cluster_id
-    leases.takes_over, leases.in_memory = founding.takes_over, settings.data_dir is None
+    leases.serves_former_cluster, leases.in_memory = founding.takes_over, settings.data_dir is None
     probe = Probe(log, credentials, explain=credentials.explain)
     members = Members(log, replica, probe, advertise=settings.advertise or founding.address, zone=settings.zone)
     return _Parts(
@@ -190,7 +190,7 @@ def _register(parts: _Parts, server: ServiceServer) -> None:
     quota_service_pb2_grpc.add_QuotaServiceServicer_to_server(QuotaServicer(calls), server.grpc)
     membership_service_pb2_grpc.add_MembershipServiceServicer_to_server(parts.membership, server.grpc)
     server.access.draw_from(lambda: replica.read(access_state))
-    server.access.accounts.draw_from(lambda: replica.read(things_of_callers))
+    server.access.accounts.draw_from(lambda: replica.read(quota_counts_of_callers))
 
 
 @contextlib.asynccontextmanager
@@ -227,7 +227,7 @@ def _work(
         parts.levels.run(),
         parts.probe.run(),
         _follow_access(server),
-        _follow_own_state(server, parts, keeps=settings.data_dir is not None),
+        _follow_own_state(server, parts, has_data_folder=settings.data_dir is not None),
         _watch_founding(server, parts, founding),
     ]
     if settings.data_dir is not None:
@@ -235,26 +235,27 @@ def _work(
         own_address = OwnAddress(founding.supernode_id, founding.address, boot, credentials)
         work.append(_for_good(own_address.watch(parts.own_cluster.id)))
     if founding.token and settings.data_dir is not None:
-        work.append(_for_good(volunteer(founding, settings.data_dir, parts.log, credentials, zone=settings.zone)))
+        work.append(_for_good(ask_to_join(founding, settings.data_dir, parts.log, credentials, zone=settings.zone)))
     return work
 
 
 async def _for_good(work: Coroutine[Any, Any, None]) -> None:
-    """Do the work, then wait without end: a task that ends would end the service."""
+    """Do the work, then wait for ever. The end of a task of `_work` would end the service."""
     await work
     await asyncio.Event().wait()
 
 
-async def _follow_own_state(server: ServiceServer, parts: _Parts, *, keeps: bool) -> None:
-    """Follow the state of this supernode, in one loop for all that depends on it.
+async def _follow_own_state(server: ServiceServer, parts: _Parts, *, has_data_folder: bool) -> None:
+    """Act on changes of this supernode's state, in one loop for all of them.
 
-    The health service answers SERVING as long as this supernode can serve, and NOT_SERVING otherwise. `keeps`: whether
-    the supernode was started with a data folder.
+    The loop ends the service if the others refuse this supernode for good. It ends the watches if the state differs
+    from that of most members. It makes the health service report SERVING while this supernode can serve, and
+    NOT_SERVING otherwise. `has_data_folder`: whether the supernode was started with a data folder.
     """
     serving = is_diverged = False
     while not server.stopping.is_set():
         status = parts.log.status()
-        _end_if_refused(status, keeps=keeps)
+        _end_if_refused(status, has_data_folder=has_data_folder)
         if status.diverged_at and not is_diverged:
             is_diverged = True
             _end_watches(parts, status)
@@ -264,7 +265,7 @@ async def _follow_own_state(server: ServiceServer, parts: _Parts, *, keeps: bool
         await asyncio.sleep(HEALTH_SECONDS)
 
 
-def _end_if_refused(status: ReplicationStatus, *, keeps: bool) -> None:
+def _end_if_refused(status: ReplicationStatus, *, has_data_folder: bool) -> None:
     """End the service if this supernode was removed, has another folder than before, or has too old a release."""
     if status.removed:
         raise StampedeError(
@@ -273,13 +274,13 @@ def _end_if_refused(status: ReplicationStatus, *, keeps: bool) -> None:
         )
     anew = f"remove it (stampede supernode remove {status.self_id}), empty the folder, and join under a new id"
     if status.has_lost_store:
-        here = "another data folder" if keeps else "a data folder, and was started without --data-dir now"
+        here = "another data folder" if has_data_folder else "a data folder, and was started without --data-dir now"
         raise StampedeError(
             f"supernode {status.self_id} has taken part before with {here}. The former folder holds its votes and "
             f"entries: start it with --data-dir and that folder, or, if the folder is lost, {anew}"
         )
-    if status.too_old:
-        raise StampedeError(f"supernode {status.too_old}; {NEWER_RELEASE}")
+    if status.release_refusal:
+        raise StampedeError(f"supernode {status.release_refusal}; {NEWER_RELEASE}")
     if status.has_old_store:
         raise StampedeError(
             f"supernode {status.self_id} has reported entries or a term that its data folder lacks. The folder is "
@@ -302,7 +303,7 @@ def _end_watches(parts: _Parts, status: ReplicationStatus) -> None:
 
 
 async def _watch_founding(server: ServiceServer, parts: _Parts, founding: FoundingRecord) -> None:
-    """End the service if the other founders of its cluster got another list of members."""
+    """End the service if another founder was started with another list of members. Watch until the cluster exists."""
     while founding.listed and not server.stopping.is_set():
         if parts.replica.read(lambda directory: directory.tenure > 0):
             break  # the cluster is founded, and its members themselves refuse later members with another list

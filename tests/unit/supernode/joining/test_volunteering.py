@@ -19,7 +19,7 @@ from stampede_rt.v1 import membership_service_pb2_grpc
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.server import serving
 from stampede_rt_supernode.joining.founding import FoundingRecord, read_founding, write_founding
-from stampede_rt_supernode.joining.volunteering import REFUSED_SECONDS_MAX, seconds_before_asking, volunteer
+from stampede_rt_supernode.joining.volunteering import REFUSED_SECONDS_MAX, ask_to_join, seconds_before_asking
 from stampede_rt_supernode.replication.interface import too_old
 
 
@@ -62,7 +62,7 @@ async def started(leader: Leader, address: str, folder: Path) -> list[float]:
         if leader.refuses
         else nullcontext()
     ):
-        await volunteer(founding, folder, leader.log, to, zone="", sleep=sleep)
+        await ask_to_join(founding, folder, leader.log, to, zone="", sleep=sleep)
     assert leader.calls == requests + 1
     return waited
 
@@ -100,7 +100,7 @@ async def test_a_new_member_of_an_older_release_is_refused_and_joins_with_the_ne
         with pytest.raises(
             StampedeError, match="at level 2; start it with the release of the others and the same data"
         ):
-            await volunteer(founding, tmp_path, leader.log, lambda target: dial(target, secret=None), zone="")
+            await ask_to_join(founding, tmp_path, leader.log, lambda target: dial(target, secret=None), zone="")
         leader.refuses = False
         await started(leader, server.address, tmp_path)
 

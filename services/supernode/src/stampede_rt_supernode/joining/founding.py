@@ -1,8 +1,9 @@
-"""The small file of a data folder that names its member and cluster.
+"""The small file in a data folder that names the supernode and its cluster.
 
 `init` and `join` make the file. Every start reads it. The first start and the attempts to join update it.
 
-The log's store also names its member and cluster. This file exists before the store, and says how the member begins.
+The log's store also names the supernode and the cluster. But this file exists before the store. It says how the
+supernode makes the store at its first start.
 """
 
 from __future__ import annotations
@@ -44,11 +45,13 @@ class FoundingRecord:
     members: dict[str, str]
     # The id by which the members know the cluster. If `init` founded the cluster, it is also the id for all callers.
     log_cluster_id: str = ""
-    # Whether the cluster is founded with a list of members, which all founders got.
+    # Whether the settings name all founders, and no `init` or `join` has prepared the folder. The list of founders is
+    # that of --members, or this supernode alone.
     listed: bool = False
-    # Whether this cluster serves the callers of the former cluster, whose directory was restored here.
+    # Whether `init --restore --take-over` founded the cluster. The cluster then also serves callers that name the
+    # former cluster, whose directory was restored.
     takes_over: bool = False
-    # Whether the member joins a running cluster, and founds none.
+    # Whether the supernode joins a running cluster instead of founding one.
     joining: bool = False
     # The join token, deleted as soon as the supernode is a member. Never shown.
     token: str = field(default="", repr=False)
@@ -59,7 +62,7 @@ class FoundingRecord:
     refusals: int = 0
 
     def replication_settings(self, data_dir: Path | None) -> ReplicationSettings:
-        """The settings of the log. Raises ValueError if the facts contradict each other."""
+        """The settings of the log. Raises ValueError if fields of this record contradict each other."""
         return ReplicationSettings(
             self_member=Member(member_id=self.supernode_id, address=self.address),
             initial_members=[Member(member_id=name, address=address) for name, address in self.members.items()],
@@ -112,10 +115,10 @@ def note_started(data_dir: Path, founding: FoundingRecord) -> FoundingRecord:
 
 @contextlib.contextmanager
 def restoring(data_dir: Path) -> Iterator[None]:
-    """Mark the folder while the caller's `with` block writes into it. A mark that stays shows that the block failed.
+    """Keep a mark file in the folder while the caller's `with` block writes a restored store there.
 
-    If the block fails before it has written a store, this function removes the mark, and also the folder if it has made
-    the folder.
+    A mark that remains shows that the block failed or was interrupted. If the block fails before it has written a
+    store, the mark is removed. A folder that this function has made is then removed, too.
     """
     is_new = not data_dir.exists()
     data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)

@@ -70,8 +70,8 @@ class Members:
         among them if others refuse it, its state differs, or its disk does not answer.
         """
         status = self._log.status()
-        refusals = {name: f"{why} (says {status.self_id})" for name, why in status.refused.items()}
-        by = "; ".join(f"{why} (says {name})" for name, why in sorted(status.refused_by.items()))
+        refusals = {name: f"{why} (says {status.self_id})" for name, why in status.refused_members.items()}
+        by = "; ".join(f"{why} (says {name})" for name, why in sorted(status.refusing_members.items()))
         own = why_waits_for_disk(status) if status.disk_silent_seconds else by
         own = why_diverged(status) if status.diverged_at else own
         doubts = {name: why_in_doubt(name, at) for name, at in status.doubts.items()}

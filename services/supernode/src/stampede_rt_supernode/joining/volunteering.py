@@ -33,7 +33,7 @@ _HOPELESS = (PermissionDenied, InvalidArgument, VersionMismatch)
 NEWER_RELEASE = "start it with the release of the others and the same data folder; it then catches up with them"
 
 
-async def volunteer(
+async def ask_to_join(
     founding: FoundingRecord,
     data_dir: Path,
     log: ReplicatedLog,

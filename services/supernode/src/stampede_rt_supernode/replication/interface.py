@@ -1,7 +1,7 @@
 """The interface between the directory and the log that replicates it.
 
-Commands, results and snapshots cross it as bytes. The directory knows nothing of the library that replicates them. So
-another library can replace PySyncObj (paper, section 4.3: "standard consensus techniques").
+Commands, results and snapshots cross the interface as bytes. The directory does not depend on the library that
+replicates them, so another library can replace PySyncObj (paper, section 4.3: "standard consensus techniques").
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class StateMachine(Protocol):
         """
 
     def adopt_digest(self, digest: bytes) -> None:
-        """Take over the leader's digest at the last applied position, because the state's own is unknown."""
+        """Use the leader's digest at the last applied position as this state's digest, which is unknown."""
 
     def begin_snapshot(self) -> Callable[[], bytes]:
         """Copy the whole state as of the last applied command. Returns a function that encodes the copy.
@@ -83,10 +83,10 @@ class ReplicationStatus:
     - `removed`: the leader, or most of the others, say that this member was removed from the cluster.
     - `has_lost_store`: the leader, or most of the others, say that this member had another store before, or lacks one.
     - `has_old_store`: the leader, or most of the others, say that this member's store is an older copy.
-    - `refused_by`: by id, the words of each member that reports `removed`, `has_lost_store`, `has_old_store` or
-      `too_old`.
+    - `refusing_members`: the members that refuse this member, for the reason of `removed`, `has_lost_store`,
+      `has_old_store` or `release_refusal`. By id: the words of the refusal. The refusal may be unconfirmed.
     - `other_cluster`: the words of a member of another cluster; empty if there was none.
-    - `refused`: by id, the reason why this replica does not accept the latest store of another member.
+    - `refused_members`: the members that this replica refuses because of their stores. By id: the reason.
     - `diverged_at`: the position at which this replica's state was found to differ from the state of most members; 0 if
       it was not.
     - `doubts`: by id, the position at which the states of a member and of the leader were found to differ. It is not
@@ -95,9 +95,9 @@ class ReplicationStatus:
     - `feature_level`: the feature level of the state.
     - `highest_levels`: by id, the highest level that the release of each member knows, by the member's own report. Also
       for this member.
-    - `too_old`: the words by which the leader, or most others, say that this release does not know the cluster's
-      feature level; empty if they do not say it.
-    - `retired`: ids of former members, which are never used again.
+    - `release_refusal`: the words by which the leader, or most others, say that this release does not know the
+      cluster's feature level; empty if they do not say it.
+    - `former_ids`: the ids of removed members. No later member may have such an id.
     - `commit_index`, `last_index`: the positions of the last committed entry that this replica knows of, and of the
       last entry in its log.
     - `lags`: if this replica leads, by id the number of entries that each other member does not have yet.
@@ -117,12 +117,12 @@ class ReplicationStatus:
     diverged_at: int = 0
     doubts: Mapping[str, int] = field(default_factory=dict)
     disk_silent_seconds: float = 0.0
-    refused: Mapping[str, str] = field(default_factory=dict)
+    refused_members: Mapping[str, str] = field(default_factory=dict)
     feature_level: int = 1
     highest_levels: Mapping[str, int] = field(default_factory=dict)
-    too_old: str = ""
-    refused_by: Mapping[str, str] = field(default_factory=dict)
-    retired: Collection[str] = ()
+    release_refusal: str = ""
+    refusing_members: Mapping[str, str] = field(default_factory=dict)
+    former_ids: Collection[str] = ()
     commit_index: int = 0
     last_index: int = 0
     lags: Mapping[str, int] = field(default_factory=dict)
@@ -218,10 +218,10 @@ class ReplicatedLog(Protocol):
     async def add_member(self, member: Member, *, ticket: str = "", timeout: float) -> int:
         """Add a replica that runs at `member.address` and waits to join. Returns the log position of the change.
 
-        If it is a member already, returns the last applied position. The replica becomes a member as soon as it has
-        caught up. Idempotent: a repeated call waits for the addition under way, which continues after `timeout`. A
-        `ticket` lets in one member. Raises NotLeading, ChangeUnderWay, ChangeRefused (TicketSpent if the ticket is used
-        up, ReleaseOutdated if the newcomer's release is too old), LogUnavailable or OutcomeUnknown.
+        If the replica is a member already, returns the last applied position. The replica becomes a member as soon as
+        it has caught up. Idempotent: a repeated call waits for the addition under way, which continues after `timeout`.
+        A `ticket` lets in one member. Raises NotLeading, ChangeUnderWay, ChangeRefused (TicketSpent if the ticket is
+        used up, ReleaseOutdated if the newcomer's release is too old), LogUnavailable or OutcomeUnknown.
         """
 
     async def remove_member(self, member_id: str, *, timeout: float) -> int:
@@ -240,8 +240,7 @@ class ReplicatedLog(Protocol):
         """
 
     async def take_snapshot(self, *, timeout: float) -> TakenSnapshot:
-        """Write a snapshot that covers every entry that is applied now. If the last snapshot covers them all, return
-        that snapshot.
+        """Write a snapshot that covers all entries applied so far. If the last snapshot covers them, return that one.
 
         Raises LogUnavailable. Even then the log may still write the snapshot.
         """

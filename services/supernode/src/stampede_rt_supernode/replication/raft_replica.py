@@ -56,7 +56,7 @@ class MemberRoster:
 
     members: tuple[Member, ...]
     peers: Mapping[str, Member]
-    removed: frozenset[str]
+    former_ids: frozenset[str]
 
 
 class RaftReplica:

@@ -85,8 +85,8 @@ class PySyncObjLog:
             others = {member.member_id for member in replica.roster.members} - {settings.self_member.member_id}
             return others, replica.status().leader_id
 
-        self._links.others_and_leader, self._links.on_refusal_confirmed = others_and_leader, stores.refuse_own
-        self._links.on_fault = self._servicer.expel
+        self._links.others_and_leader, self._links.on_refusal_confirmed = others_and_leader, stores.note_own_refusal
+        self._links.on_protocol_fault = self._servicer.expel
         self._links.start(replica.deliver, replica.roster.peers, introduce)
         self._thread.start(replica)
 
@@ -94,7 +94,7 @@ class PySyncObjLog:
         """See ReplicatedLog. Without a leader a command waits for one, up to `timeout`."""
         self._refuse_when_closed()
         answer: asyncio.Future[Outcome] = asyncio.get_running_loop().create_future()
-        proposal = Proposal(command, time.monotonic() + timeout, self._into(answer))
+        proposal = Proposal(command, time.monotonic() + timeout, self._result_setter(answer))
         self._replica.propose(proposal)
         try:
             async with asyncio.timeout(timeout):
@@ -126,13 +126,13 @@ class PySyncObjLog:
         """See ReplicatedLog."""
         status, links = self._replica.status(), self._links
         if (silent := self._thread.stuck_seconds()) > 0.0:
-            # The status comes from the last step, which was long ago. By now the others may have another leader.
+            # The thread made this status before it got stuck. Since then the others may have elected another leader.
             status = replace(status, leader_id=None, is_leader=False, tenure=0, disk_silent_seconds=silent)
-        status = replace(status, retired=self._replica.roster.removed)
-        refused = self._servicer.refused() if self._servicer is not None else {}
-        reasons = {**links.outdated.by, **links.refusals.by}
-        confirmed, too_old = links.refusals.confirmed, links.outdated.why
-        if not (reasons or confirmed or too_old or links.other_cluster or refused):
+        status = replace(status, former_ids=self._replica.roster.former_ids)
+        refused_members = self._servicer.refused() if self._servicer is not None else {}
+        refusing_members = {**links.outdated.by, **links.refusals.by}
+        confirmed, release_refusal = links.refusals.confirmed, links.outdated.why
+        if not (refusing_members or confirmed or release_refusal or links.other_cluster or refused_members):
             return status
         return replace(
             status,
@@ -140,9 +140,9 @@ class PySyncObjLog:
             has_lost_store=confirmed in (RefusalGrounds.ANOTHER_STORE, RefusalGrounds.NO_STORE),
             has_old_store=confirmed is RefusalGrounds.OLDER_STORE,
             other_cluster=links.other_cluster,
-            too_old=too_old,
-            refused=refused,
-            refused_by=reasons,
+            release_refusal=release_refusal,
+            refused_members=refused_members,
+            refusing_members=refusing_members,
         )
 
     def write_times(self) -> Durations:
@@ -160,7 +160,7 @@ class PySyncObjLog:
     async def _change(self, member: Member, *, is_removal: bool, timeout: float, ticket: str = "") -> int:
         self._refuse_when_closed()
         answer: asyncio.Future[ChangeOutcome] = asyncio.get_running_loop().create_future()
-        self._replica.change_members(MemberChange(member, is_removal, self._into(answer), ticket))
+        self._replica.change_members(MemberChange(member, is_removal, self._result_setter(answer), ticket))
         try:
             async with asyncio.timeout(timeout):
                 outcome = await answer
@@ -174,7 +174,7 @@ class PySyncObjLog:
         """See ReplicatedLog."""
         self._refuse_when_closed()
         answer: asyncio.Future[bool] = asyncio.get_running_loop().create_future()
-        self._replica.change_members(HandOver(self._into(answer)))
+        self._replica.change_members(HandOver(self._result_setter(answer)))
         try:
             async with asyncio.timeout(timeout):
                 return await answer
@@ -185,7 +185,7 @@ class PySyncObjLog:
         """See ReplicatedLog."""
         self._refuse_when_closed()
         answer: asyncio.Future[SnapshotOutcome] = asyncio.get_running_loop().create_future()
-        self._replica.take_snapshot(SnapshotRequest(self._into(answer)))
+        self._replica.take_snapshot(SnapshotRequest(self._result_setter(answer)))
         try:
             async with asyncio.timeout(timeout):
                 outcome = await answer
@@ -211,8 +211,8 @@ class PySyncObjLog:
         if self._closed:
             raise LogUnavailable("this replica is closed")
 
-    def _into(self, answer: asyncio.Future[T]) -> Callable[[T], None]:
-        """Returns a function, callable on any thread, that sets the result of `answer` on the loop."""
+    def _result_setter(self, answer: asyncio.Future[T]) -> Callable[[T], None]:
+        """Returns a function that sets the result of `answer`. Any thread may call it; the loop sets the result."""
 
         def set_result(outcome: T) -> None:
             if not answer.done():

@@ -84,7 +84,7 @@ class LeaseKeeper:
         # The id that the founder gave the cluster.
         self.founding_cluster_id = ""
         # Whether a restored cluster accepts callers that name the former cluster.
-        self.takes_over = False
+        self.serves_former_cluster = False
         # Whether the cluster keeps everything in memory. If the first leader makes the cluster's id, the id shows this.
         self.in_memory = False
 
@@ -134,7 +134,7 @@ class LeaseKeeper:
             new_lease_ttl_nanos=self._founding_ttl_nanos,
             # A restored cluster gets a new id. So front-ends do not mistake the former cluster for the restored one.
             founded_anew=bool(cluster_id and self.founding_cluster_id and cluster_id != self.founding_cluster_id),
-            takes_over=self.takes_over,
+            takes_over=self.serves_former_cluster,
             new_feature_level=max(FIRST_LEVEL, status.level_of_members),
             new_join_key=secrets.token_bytes(KEY_BYTES),
             new_token_key=secrets.token_bytes(KEY_BYTES),

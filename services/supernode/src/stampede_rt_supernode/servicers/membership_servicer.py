@@ -162,7 +162,7 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
     def _check_is_new(self, member_id: str) -> None:
         """Raises InvalidArgument for an id that can never join. The leader checks the id again in AddSupernode."""
         status = self._log.status()
-        if member_id in status.retired:
+        if member_id in status.former_ids:
             text = f"{member_id} was a member before; a removed id is never used again: let it join under a new one"
             raise InvalidArgument(text)
         if any(member.member_id == member_id for member in status.members):

@@ -127,7 +127,7 @@ def polled(own_digest: bytes, answers: dict[str, bytes], *, voters: int) -> Dige
 def test_the_state_of_a_majority_of_voters_counts_as_right_under_any_leader(
     answers: dict[str, bytes], voters: int, of_most: bytes
 ) -> None:
-    assert polled(ONE, answers, voters=voters).of_most("abcdef"[:voters])[1] == of_most
+    assert polled(ONE, answers, voters=voters).majority_digest("abcdef"[:voters])[1] == of_most
 
 
 def test_a_member_that_differs_from_the_leader_is_in_doubt_until_most_agree() -> None:
@@ -135,7 +135,7 @@ def test_a_member_that_differs_from_the_leader_is_in_doubt_until_most_agree() ->
     assert poll.doubts == {"a": 7}
     poll.answered("b", (7, ONE), "ab")
     assert poll.doubts == {}
-    assert poll.agreeing(OTHER) == ["a"]
+    assert poll.ids_with_digest(OTHER) == ["a"]
 
 
 def test_a_doubt_ends_when_its_member_is_removed_or_agrees() -> None:
@@ -147,7 +147,7 @@ def test_a_doubt_ends_when_its_member_is_removed_or_agrees() -> None:
 
 def test_a_leader_asks_for_a_digest_until_all_connected_members_answer_or_six_seconds_are_over() -> None:
     poll = DigestPoll()
-    assert poll.of_most("ab") == NO_DIGEST
+    assert poll.majority_digest("ab") == NO_DIGEST
     poll.ask(0.0, (5, b""), "ab")
     assert poll.named_state == NO_DIGEST, "a leader without a digest names no position"
     poll.ask(0.0, (7, ONE), "ab")
@@ -163,7 +163,7 @@ def test_a_leader_asks_for_a_digest_until_all_connected_members_answer_or_six_se
     assert poll.named_state == (9, ONE)
     poll.ask(6.0, (10, OTHER), "ab")
     assert poll.named_state == (10, OTHER)
-    assert poll.of_most("ab") == NO_DIGEST, "those answers were about another position"
+    assert poll.majority_digest("ab") == NO_DIGEST, "those answers were about another position"
 
 
 def test_a_member_sends_its_digest_once_it_has_reached_the_position_that_the_leader_named_last() -> None:

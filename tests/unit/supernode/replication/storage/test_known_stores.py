@@ -37,7 +37,7 @@ def test_a_member_that_had_a_store_is_refused_without_one(tmp_path: Path) -> Non
 
 
 def test_a_store_keeps_the_refusals_of_other_members_over_a_restart(tmp_path: Path) -> None:
-    KnownStores.open(tmp_path, had_store=False).refuse_own("it is an older copy")
+    KnownStores.open(tmp_path, had_store=False).note_own_refusal("it is an older copy")
     assert KnownStores.open(tmp_path, had_store=True).refused == "it is an older copy"
 
 

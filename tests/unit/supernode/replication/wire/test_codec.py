@@ -46,10 +46,10 @@ CHUNK = SnapshotChunk(last_log_index=9, offset_bytes=2, total_bytes=7, sha256=by
 
 EVERY_KIND: list[Message] = [
     append(3, (7, 2), [(8, 2), (9, 3)], commit=8),
-    replace(append(3, (7, 2), [], commit=8), round=5, digest=(8, b"digest"), digest_of_most=(7, b"most")),
+    replace(append(3, (7, 2), [], commit=8), round=5, digest=(8, b"digest"), majority_digest=(7, b"most")),
     InstallSnapshot(term=3, commit_index=8, round=4, chunk=None),
     AppendReply(term=3, next_index=8, reset=False, success=True, round=5, digest=(7, b"digest")),
-    InstallSnapshot(term=3, commit_index=8, round=4, chunk=CHUNK, digest=(8, b"digest"), digest_of_most=(7, b"most")),
+    InstallSnapshot(term=3, commit_index=8, round=4, chunk=CHUNK, digest=(8, b"digest"), majority_digest=(7, b"most")),
     acknowledgement(3, 9),
     VoteRequest(term=4, last_log_index=9, last_log_term=3),
     vote(4),

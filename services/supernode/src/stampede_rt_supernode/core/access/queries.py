@@ -33,10 +33,10 @@ def access_state(directory: DirectoryState) -> AccessState:
     )
 
 
-def things_of_callers(directory: DirectoryState) -> list[tuple[str, Quota, int]]:
-    """The (caller, quota, number of its things) of the callers with the most channels, queues, groups or peers.
+def quota_counts_of_callers(directory: DirectoryState) -> list[tuple[str, Quota, int]]:
+    """Counts the channels, queues, groups and peers that callers have created, for the quotas on these numbers.
 
-    Returns CALLERS_NAMED_MAX callers at most for each quota.
+    Returns triples of caller, quota and count: for each quota the CALLERS_NAMED_MAX callers with the highest counts.
     """
     tables = directory.tables
     counted = {

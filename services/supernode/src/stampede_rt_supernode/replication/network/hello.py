@@ -92,7 +92,7 @@ def refusal_of(
         )
     if hello.peer_member_id != own:
         return HelloRefusal(failed, f"this is member {own!r}, not {hello.peer_member_id!r}")
-    if caller in roster.removed:
+    if caller in roster.former_ids:
         return HelloRefusal(denied, f"{caller!r} {REMOVED}")
     if hello.highest_feature_level < feature_level:
         return HelloRefusal(failed, too_old(caller, hello.highest_feature_level, feature_level))

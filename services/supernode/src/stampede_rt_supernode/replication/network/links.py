@@ -79,7 +79,7 @@ class PeerLinks:
         # writes a small file.
         self.on_refusal_confirmed: Callable[[str], None] = lambda why: None
         # Called with the id of a member that breaks the protocol, and the text of the fault.
-        self.on_fault: Callable[[str, str], None] = lambda member_id, why: None
+        self.on_protocol_fault: Callable[[str, str], None] = lambda member_id, why: None
 
     def start(self, deliver: Callable[[NetworkEvent], None], peers: Mapping[str, Member], introduce: Introduce) -> None:
         """Begin to connect to every peer, with the hellos of `introduce`. Call it on the loop."""
@@ -168,7 +168,7 @@ class PeerLinks:
 
     def drop(self, member_id: str, why: str) -> None:
         """End the stream of a member that breaks the protocol, and refuse it for a while. Called on the tick thread."""
-        self._bridge.post(lambda: self.on_fault(member_id, why))
+        self._bridge.post(lambda: self.on_protocol_fault(member_id, why))
 
     def release(self, messages: Sequence[Outgoing]) -> None:
         """Encode the messages, and queue each on its link. Called on the tick thread."""

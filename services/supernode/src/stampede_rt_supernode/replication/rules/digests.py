@@ -1,16 +1,17 @@
-"""Compares the members' digests of the applied results at one position.
+"""Compares the members' digests, to find replicas whose state differs from the state of most members.
 
-So each replica finds out whether most members have the same state.
+A digest is a hash of all results that a replica has computed up to one position of the log.
 
-Replicas apply the same commands in the same order. So they reach the same state, as long as they agree on the effect of
-each command. But a release that does not know a command refuses it, and the log does not show the difference.
+Replicas apply the same commands in the same order. If all of them give each command the same effect, they have the same
+state. But a release that does not know a command refuses the command, and its state then differs. The log itself does
+not show the difference, because it contains commands, not results.
 
 The leader names a position for a while. The members answer with their digests at that position. The leader sends all
 members the digest that more than half of them have. A member with another digest has diverged, even if it leads. While
 no digest has a majority, a member that differs from the leader is only in doubt (decision 0111). Pure.
 
-A state from a snapshot of an earlier release has no digest. Its replica takes over the leader's digest as soon as the
-replica is at the position of that digest. From there on its digests are compared, too.
+A state from a snapshot of an earlier release has no digest. A replica with such a state adopts the leader's digest when
+the replica has reached the position of that digest. The members then compare the replica's later digests, too.
 """
 
 from __future__ import annotations
@@ -58,9 +59,9 @@ class Digests:
     def compare(self, index: int, digest: bytes) -> None:
         """Compare the leader's digest at `index` with this replica's own.
 
-        If this replica has not reached `index` yet, it compares them when it gets there. It keeps one such digest, and
-        ignores others meanwhile. It also ignores a position whose digest it no longer has. If its own digest at its
-        last position is unknown, it takes over the leader's digest.
+        If this replica has not reached `index` yet, it keeps the leader's digest, and compares the two digests when it
+        reaches `index`. Until then it ignores the leader's digests at other positions ahead. It also ignores a position
+        whose own digest it has deleted. If its state at its last position has no digest, it adopts the leader's.
         """
         own = self._own.get(index)
         last = next(reversed(self._own), 0)
@@ -125,12 +126,12 @@ class DigestPoll:
         if not digest or index != self.named_state[0]:
             return
         self._held[member_id] = digest
-        known = bool(self.of_most(voters)[1])
+        known = bool(self.majority_digest(voters)[1])
         held = {name: at for name, at in self.doubts.items() if not known and name in voters and name != member_id}
         differs = digest != self.named_state[1] and member_id in voters and not known
         self.doubts = {**held, member_id: self.doubts.get(member_id, index)} if differs else held
 
-    def of_most(self, voters: Collection[str]) -> StateDigest:
+    def majority_digest(self, voters: Collection[str]) -> StateDigest:
         """The named position, and the digest that more than half of all members have there, this one included.
 
         NO_DIGEST if no digest is known to have a majority.
@@ -142,6 +143,6 @@ class DigestPoll:
         digest, count = counted.most_common(1)[0]
         return (index, digest) if 2 * count > len(voters) + 1 else NO_DIGEST
 
-    def agreeing(self, digest: bytes) -> list[str]:
+    def ids_with_digest(self, digest: bytes) -> list[str]:
         """The ids of the other members that have this digest at the named position."""
         return [name for name, held in self._held.items() if held == digest]

@@ -29,7 +29,7 @@ class FollowerRole(Membership):
         # A stranger's digests do not count. With false digests it could keep this node from leading.
         if not self.is_stranger(node.id):
             self.digests.compare(*message.digest)
-            self.digests.compare_with_majority(*message.digest_of_most)
+            self.digests.compare_with_majority(*message.majority_digest)
         if isinstance(message, InstallSnapshot):
             self._on_install_snapshot(node, message)
         else:

@@ -72,11 +72,11 @@ class LeaderRole(Membership):
         """
         if not self.is_leader:
             return
-        majority_digest = self.poll.of_most(self.voter_ids())
+        majority_digest = self.poll.majority_digest(self.voter_ids())
         self.digests.compare_with_majority(*majority_digest)
         if not self.digests.diverged_at:
             return
-        right = [node for node in self.other_voters if node.id in self.poll.agreeing(majority_digest[1])]
+        right = [node for node in self.other_voters if node.id in self.poll.ids_with_digest(majority_digest[1])]
         successor = max(right, key=lambda node: self.match_index[node], default=None)
         if successor is not None:
             self.transport.send(successor, TimeoutNow(term=self.term))
@@ -103,7 +103,7 @@ class LeaderRole(Membership):
             chunk=chunk,
             round=self.reads.round,
             digest=self.poll.named_state,
-            digest_of_most=self.poll.of_most(self.voter_ids()),
+            majority_digest=self.poll.majority_digest(self.voter_ids()),
         )
         self.transport.send(node, message)
 
@@ -125,7 +125,7 @@ class LeaderRole(Membership):
                     entries=entries,
                     round=self.reads.round,
                     digest=self.poll.named_state,
-                    digest_of_most=self.poll.of_most(self.voter_ids()),
+                    majority_digest=self.poll.majority_digest(self.voter_ids()),
                 ),
             )
             self.next_index[node] = next_index + len(entries)

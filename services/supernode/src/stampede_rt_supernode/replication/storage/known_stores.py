@@ -30,8 +30,9 @@ STORE_ID_BYTES_MAX = 64
 
 
 class KnownStores:
-    """The stores that one member remembers, in `data_dir`. A member without a folder remembers none, and has no store
-    id.
+    """The ids of the members' stores, as one member remembers them in the file FILE_NAME of its data folder.
+
+    A member without a data folder remembers no ids, and its own store has no id.
 
     Callable on any thread.
     """
@@ -70,8 +71,8 @@ class KnownStores:
         """
         return self._known.get(member_id, store_id) == store_id
 
-    def refuse_own(self, why: str) -> None:
-        """Note that others refuse this store. Blocks. Raises OSError."""
+    def note_own_refusal(self, why: str) -> None:
+        """Note in the file that the others refuse this member's own store. Blocks. Raises OSError."""
         with self._mutex:
             self.refused = why
             if self._path is not None:

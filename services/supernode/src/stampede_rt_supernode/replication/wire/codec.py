@@ -69,7 +69,7 @@ def _encode_install(message: InstallSnapshot) -> pb.RaftMessage:
 
 def _from_leader(message: FromLeader) -> pb.RaftAppendEntries:
     index, digest = message.digest
-    most_index, most_digest = message.digest_of_most
+    most_index, most_digest = message.majority_digest
     return pb.RaftAppendEntries(
         term=message.term,
         commit_index=message.commit_index,
@@ -93,7 +93,7 @@ def _decode_append(body: pb.RaftAppendEntries) -> FromLeader:
             chunk=chunk,
             round=round_number,
             digest=digest,
-            digest_of_most=majority_digest,
+            majority_digest=majority_digest,
         )
     previous, previous_term = checked_number(body.previous_log_index), checked_number(body.previous_log_term)
     entries = [decode_entry(entry) for entry in body.entries]
@@ -110,7 +110,7 @@ def _decode_append(body: pb.RaftAppendEntries) -> FromLeader:
         entries=entries,
         round=round_number,
         digest=digest,
-        digest_of_most=majority_digest,
+        majority_digest=majority_digest,
     )
 
 

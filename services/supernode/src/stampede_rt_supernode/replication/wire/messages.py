@@ -22,7 +22,7 @@ class AppendEntries:
     """A leader's entries after `previous_index`; without entries, a heartbeat.
 
     The reply echoes `round`, see `ConfirmedReads`. `digest`: the position that the leader names, and its own digest
-    there. `digest_of_most`: the digest that more than half of all members have at that position (see rules/digests.py).
+    there. `majority_digest`: the digest that more than half of all members have at that position (rules/digests.py).
     """
 
     term: int
@@ -32,7 +32,7 @@ class AppendEntries:
     entries: Sequence[Entry]
     round: int = 0
     digest: StateDigest = NO_DIGEST
-    digest_of_most: StateDigest = NO_DIGEST
+    majority_digest: StateDigest = NO_DIGEST
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -66,7 +66,7 @@ class InstallSnapshot:
     chunk: SnapshotChunk | None
     round: int = 0
     digest: StateDigest = NO_DIGEST
-    digest_of_most: StateDigest = NO_DIGEST
+    majority_digest: StateDigest = NO_DIGEST
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
