@@ -91,7 +91,7 @@ class CopyFeed:
         try:
             async with asyncio.timeout(BROKEN_AFTER_SECONDS):
                 await call.write(self._request(self._opening(source)))
-            # Not earlier: the connection may have taken seconds.
+            # the silence of the source counts from here on: the connection alone may have taken seconds
             self._last_received_s = asyncio.get_running_loop().time()
             async with asyncio.TaskGroup() as sides:
                 self._requests.open(call, sides)
@@ -301,7 +301,7 @@ class CopyFeed:
     def _store_runs(self, runs: Sequence[Run], answer: Callable[[], None] | None = None, **part: Any) -> int:
         """Apply a part of the feed with `runs`. Returns the bytes that they cost the source's credit.
 
-        Calls `answer` once nothing can fail any more: puts wait for the answer, and the source goes on meanwhile.
+        Calls `answer` as soon as nothing can fail any more, and stores the runs afterwards: puts wait for the answer.
         """
         held, now = self._held(), self._store.now()
         if held is None:

@@ -1,7 +1,7 @@
 """The source's side of the stream that feeds one copy (paper, section 4.1: proxies).
 
-Like a subscription, it has a place in the channel, and no queue. The items that came during one write go out in the
-next message. The source writes only if something has changed, or if the copy has sent a request since the last message.
+Like a subscription, the stream has a place in the channel instead of a queue. The items that come during one write go
+into the next message. The source writes only if something has changed, or if the copy has sent a request meanwhile.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ class FeedStream:
     def send_ahead(self, item: NewItem) -> None:
         """Send a run that the channel has accepted and is about to store, if the copy has everything else.
 
-        Then the copy works while this host stores the run. Raises nothing, as `_send_or_wake`.
+        The copy then stores the run while this host does so. Raises nothing: an error ends the feed.
         """
         ahead = None if self._send_in_this_turn is None or self._wakeup.is_set() else self._ahead
         try:
@@ -123,8 +123,8 @@ class FeedStream:
         self._wakeup.set()
 
     def end(self, error: StampedeError) -> None:
-        """Note that the host no longer serves the channel. The feed of a move continues, because the destination still
-        has to release it.
+        """End the feed, because the host no longer serves the channel. The feed of a committed move continues, because
+        the destination must still release this host.
         """
         if self._move is None or not self._move.is_committed:
             self._stream.end(error)

@@ -1,4 +1,4 @@
-"""The copies at this host: begins them, keeps their feeds, reports their loads, and ends removed copies."""
+"""The copies at this host: begins them, reopens broken feeds, reports the loads, and ends removed copies."""
 
 from __future__ import annotations
 

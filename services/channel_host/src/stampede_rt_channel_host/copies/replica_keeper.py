@@ -123,7 +123,7 @@ class KeptReplicas(ABC):
     def work_for(self, host_id: bytes, work: Callable[[], Coroutine[Any, Any, None]], what: str) -> None:
         """Do `work` for the replica at a host in the background, unless earlier work for it is still running.
 
-        The flags of the other replicas do not wait for a host that may be frozen.
+        The task that reports the flags of all replicas does not wait for this work, because the host may be frozen.
         """
         if host_id not in self._work:
             task = self._work[host_id] = asyncio.create_task(work(), name=f"{what} {self.name}")
@@ -161,9 +161,9 @@ class KeptReplicas(ABC):
     async def _list(self) -> ListedReplicas:
         """The directory's replicas. Removes replicas of the other kind.
 
-        The owner adds such a replica if it does not know yet that the directory has changed the policy. If a replica
-        counted as one for which puts wait, and they did not, it would become the owner under the same incarnation
-        although items are lost.
+        The owner adds such a replica if it does not know yet that the directory has changed the policy. The directory
+        then believes, for example, that puts wait for the replica, although they do not. Such a replica would become
+        the owner under the same incarnation although items are lost.
         """
         listed = await self._directory.replicas_of(self._subject_id)
         if listed.owner_host_id == self._host_id and listed.epoch == self.epoch:

@@ -46,8 +46,8 @@ def resolved_now(
 def reaches(held: Holdings | HoldingsSnapshot, start: int) -> bool:
     """Whether an interval that begins at `start` may select items that have left memory.
 
-    The span of an item without a duration reaches up to the next bucket, also if this bucket came after the item had
-    left memory.
+    The span of an item without a duration lasts until the next bucket, even if this bucket came after the item had left
+    memory. So the span of the newest collected item may last until the first later bucket in memory.
     """
     split = held.newest_collected  # memory may have a part of the bucket of the newest collected item
     if held.newest is None or split is None:
@@ -110,7 +110,7 @@ class ArchivedRead:
         # the read needs no archived items from `_border` on, and ignores holes after `_last_instant`
         self._border, self._last_instant = self._held.floor, within.end
         self._start = within.start  # the read needs the items from here on, and the bucket before
-        self._left = query.limit
+        self._items_left = query.limit
         self._pages: list[Sequence[Slice]] = []
         self._last: ReadAnswer | None = None
         self._reading: QueryReader | None = None
@@ -120,12 +120,11 @@ class ArchivedRead:
         self._holes: set[Hole] = set()  # the holes in the interval
         self._doubts: set[Doubt] = set()  # the doubts in the interval
         self._more = self._is_done = False
-        self._earlier_to: int | None = None  # see `ArchiveWindow.earlier_to`
+        self._earlier_to: int | None = None  # the greatest time of the items that came before the archive's first one
         self._edge: int | None = None  # where the next window begins
         self._lowest: int | None = self._held.oldest  # downwards: the earliest time of the windows so far
-        self._windows = self._memory_windows = (
-            0  # the number of read windows, and of read windows without archived items
-        )
+        self._windows = 0  # the number of windows read so far
+        self._memory_windows = 0  # the number of these windows that had no archived items
 
     def begin(self) -> Pieces[None]:
         """Read memory first if it may have all wanted items: if the interval begins within memory, or if the read goes
@@ -168,8 +167,8 @@ class ArchivedRead:
         """Read the items of a window, which lies after the windows so far."""
         if self._query.newest_first and self._edge is not None:
             window = self._bounded(window, self._edge)
-        searching_more = self._left == 0
-        query = replace(self._query, limit=1) if searching_more else replace(self._query, limit=self._left)
+        searching_more = self._items_left == 0
+        query = replace(self._query, limit=1) if searching_more else replace(self._query, limit=self._items_left)
         reading = self._reading_of(RecordedItems(self._held, self._span, window, has_dropped=self._has_dropped))
         clock = self._moment.clock
         clock = clock if query.now is None else min(clock, query.now)
@@ -183,7 +182,7 @@ class ArchivedRead:
         if searching_more:
             self._more = bool(answer.slices)
         else:
-            self._keep(answer)
+            self._add_page(answer)
             self._more = answer.more
         self._decide_next_window(window)
 
@@ -194,13 +193,13 @@ class ArchivedRead:
         return reading
 
     def _bounded(self, window: ArchiveWindow, edge: int) -> ArchiveWindow:
-        """A window that ends with the bucket at `edge`, for a read that has all later items."""
+        """Bound a window: it ends with the bucket at `edge`, because the read has all later items already."""
         lowest = self._lowest if self._lowest != edge else None  # equal: memory has a part of the bucket
         later = (lowest, window.following, self._held.next_time(edge))
         following = min((one for one in later if one is not None), default=None)
         return window._replace(following=following, end=min(self._held.floor, (edge, SEQ_END)))
 
-    def _keep(self, answer: ReadAnswer) -> None:
+    def _add_page(self, answer: ReadAnswer) -> None:
         if not answer.slices:
             return
         if not self._query.newest_first or not self._pages:
@@ -210,12 +209,12 @@ class ArchivedRead:
         if self._held.overlap_nanos and answer.next_time is not None:
             self._next_times[answer.slices[-1].last_time, answer.slices[-1].end_seq] = answer.next_time
         self._bytes += sum(len(one.run.body) for one in answer.slices)
-        if self._left is not None:
-            self._left -= sum(one.items for one in answer.slices)
+        if self._items_left is not None:
+            self._items_left -= sum(one.items for one in answer.slices)
 
     def _decide_next_window(self, window: ArchiveWindow) -> None:
         """Decide whether the read needs another window."""
-        if window.edge is not None and self._left == 0 and self._selects(window.edge):
+        if window.edge is not None and self._items_left == 0 and self._selects(window.edge):
             self._more = True
         self._is_done = window.edge is None or self._more
         if self._is_done:
@@ -224,11 +223,11 @@ class ArchivedRead:
         if first is not None:
             self._lowest = first.first_time
         self._edge = window.edge
-        if self._bytes >= ANSWER_BYTES and self._left != 0:
+        if self._bytes >= ANSWER_BYTES and self._items_left != 0:
             self._is_done = self.continues = self._more = True
 
     def _selects(self, time: int) -> bool:
-        """Whether the read surely selects an item at `time`. There, at the edge of a window, the next window begins."""
+        """Whether the read surely selects an item at `time`, the edge of a window. The archive has an item there."""
         query = self._query
         if query.match is Match.WHOLE or time not in self._within:
             return False
@@ -239,10 +238,10 @@ class ArchivedRead:
         """The whole answer, after the last window."""
         last, reading = self._last, self._reading
         assert last is not None, "at least one window was read"
-        assert reading is not None, "the window was read by it"
+        assert reading is not None, "each window was read by a `QueryReader`"
         pages = reversed(self._pages) if self._query.newest_first else self._pages
         slices = [one for page in pages for one in page]
-        reason = self._lack(slices)
+        reason = self._lack_reason(slices)
         if reason is None:
             reason = reading.reason(self._query, self._within, slices, more=self._more)
         following = self._next_time
@@ -251,7 +250,7 @@ class ArchivedRead:
             truncated=last.truncated or reason == "COLLECTED",
         )  # fmt: skip
 
-    def _lack(self, slices: Sequence[Slice]) -> Reason | None:
+    def _lack_reason(self, slices: Sequence[Slice]) -> Reason | None:
         """The reason of an answer that lacks items because the archive lacks them, or None. `slices`: the items of the
         answer.
 
@@ -265,7 +264,7 @@ class ArchivedRead:
         lacking = {one for one in self._holes if one.start <= last and one.end >= first}
         if not lacking:
             doubts = {one for one in self._doubts if one.start <= last and one.end >= first}
-            return _doubted(doubts) or self._dropped(first)
+            return _doubted(doubts) or self._dropped_reason(first)
         self.missing_items = count = sum(one.items for one in lacking)
         start, end = min(one.start for one in lacking), max(one.end for one in lacking)
         if not count:
@@ -282,8 +281,11 @@ class ArchivedRead:
             _after(end),
         )
 
-    def _dropped(self, first: int) -> Reason | None:
-        """The reason of an answer from `first` on that lacks dropped items although the archive has earlier ones."""
+    def _dropped_reason(self, first: int) -> Reason | None:
+        """The reason of an answer from `first` on that may lack dropped items, or None.
+
+        The archive drops the items that were accepted first. Some of them may have later times than items that it has.
+        """
         starts = [one.time for one in (self._query.after, self._query.newer_than) if one is not None]
         first = first if self._query.newest_first else max([first, *starts])
         if self._earlier_to is None or not self._has_dropped or first > self._earlier_to or self._within.is_empty:

@@ -21,7 +21,9 @@ from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES
 
 FILE_BYTES_PER_ITEM = HEAD_BYTES + ROW_BYTES + 64
-"""The most bytes that an item without attributes takes in a segment besides its payload: alone in its block and run."""
+"""An item without attributes takes at most this many bytes of a segment in addition to its payload. It takes all these
+bytes if it is alone in its block and run.
+"""
 
 
 class Doubt(NamedTuple):
@@ -44,7 +46,7 @@ class _Search:
     blocks_of: Callable[[Segment], SegmentBlocks]
     near: Container[int]
     last: int
-    _by_size: dict[int, int] = field(default_factory=dict)  # by the place of a segment
+    _by_size: dict[int, int] = field(default_factory=dict)  # by the place of a segment: `_least_by_size` of it
 
     def find(self) -> Iterator[Doubt]:
         """All doubts. The doubts in segments that are not near have wider bounds, because their blocks may be in
@@ -83,8 +85,9 @@ class _Search:
         return accepted + self.limits.max_future_nanos
 
     def _end_after(self, at: int) -> int:
-        """The end of a doubt in or after this segment: the host accepted its items before the items of the next
-        segment.
+        """The greatest time of a doubt in this segment or directly after it.
+
+        The host accepted the missing items before the items of the next segment, so their times have a bound.
         """
         following = next((one for one in self.segments[at + 1 :] if one.items), None)
         high = self.segments[at].high
@@ -101,8 +104,9 @@ class _Search:
         return Doubt(min(start, end, former.high[0]), max(end, former.high[0]), missing_items)
 
     def _least_by_age(self, at: int, accepted: int) -> int:
-        """The least time of a doubt: the host accepts no item before the last bucket that had ended `max_age`
-        earlier.
+        """The least time of a doubt by `max_age`, for items that the host accepted after the instant `accepted`.
+
+        The host accepts no item before the last bucket that had ended `max_age` before this instant.
         """
         if self.limits.max_age_nanos is None or self.limits.max_age_unconsumed_nanos is not None:
             return MIN_INSTANT
@@ -111,7 +115,7 @@ class _Search:
         return next((one for one in times if one is not None), MIN_INSTANT)
 
     def _last_before(self, bound: int, one: Segment) -> int | None:
-        """The time of an item before `bound`, the latest that is known without a look into a far segment, or None."""
+        """The latest known time before `bound` of an item of a segment, or None. Loads no blocks of a far segment."""
         if one.low is None or one.high is None or one.low[0] >= bound:
             return None
         if one.high[0] < bound:
@@ -120,8 +124,9 @@ class _Search:
         return one.low[0] if found is None else found
 
     def _least_by_size(self, at: int) -> int:
-        """The least time of a doubt: the host accepts no item before the items collected by `max_items` or
-        `max_bytes`.
+        """The least time of a doubt by `max_items` and `max_bytes`.
+
+        The host accepts no item before the items that these limits have collected.
         """
         limits, items, charge = self.limits, 0, 0
         low = self.segments[at].low
@@ -148,8 +153,8 @@ def doubts_in(
     limits: ChannelLimits | None,
     as_of: int | None,
 ) -> list[Doubt]:
-    """The doubts at the times at which a window looked. `taken`: the segments of which it took blocks. `as_of`: the
-    archive is as it was at this instant.
+    """Find the doubts at the times of a window. `taken`: the segments from which the window took blocks. `as_of`: the
+    archive is as it was at this instant; None: it is as it is now.
     """
     if limits is None or not segments:
         return []

@@ -79,8 +79,9 @@ class PastArchive(NamedTuple):
 def past_of(
     segments: Sequence[Segment], blocks_of: BlocksOf, runs_of: RunsOf, advances_of: AdvancesOf, as_of: int
 ) -> PastArchive:
-    """The archive as it was at the instant `as_of`. Reads two blocks of runs and one block of advances; and one more
-    block of runs for each segment whose last block is cut off, because the next segment has its later items, too.
+    """The archive as it was at the instant `as_of`. Reads two blocks of runs and one block of advances.
+
+    Some segments end with a block whose later items are also in the next segment. Reads these blocks, too.
     """
     before, changed, reached = list[Segment](), dict[int, SegmentBlocks](), segments
     past: PastArchive | None = None
@@ -231,7 +232,7 @@ def past_moment(facts: PastFacts, past: PastArchive, span: ArchiveSpan, clock: i
 
 
 def _lost_since(segments: Sequence[Segment]) -> int | None:
-    """The earliest instant at which items behind these segments may lie, except late ones; None: any instant."""
+    """The earliest time that a lost item after these segments may have, unless it came late; None: any time."""
     highs = [one.high[0] for one in segments if one.high is not None]
     return min(max(highs), max(one.last_accepted for one in segments)) if highs else None
 
@@ -247,7 +248,7 @@ def _may_have_lost(past: PastArchive, lost_before: int, clock: int) -> bool:
 
 
 def read_nothing(moment: ChannelSnapshot, query: Query, within: ResolvedInterval | None) -> Pieces[ReadAnswer]:
-    """The answer of a channel that had no item yet."""
+    """Answer a query about a channel that had no item at the instant of the query."""
     held, retention = moment.look(moment.clock)
     reading = QueryReader(held, retention, moment.incarnation, moment.lost_before)
     reading.lost_from, reading.advance = moment.lost_from, moment.advanced_to

@@ -24,15 +24,14 @@ from stampede_rt_channel_host.core.archive.segment import PlacedBlock
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
 
 BLOCK_INDEX_BYTES = 192
-"""The approximate memory of the facts about one block."""
+"""About how many bytes of memory the facts about one block take."""
 
 
 class _Columns(NamedTuple):
     """Columns in the order of the file. `heads` and `offsets` have all blocks.
 
     `advances` has the positions of the blocks of advances among all blocks, and `places` the positions of the blocks
-    with items.
-    The columns after `places` have only the blocks with items.
+    with items. The columns after `places` have only the blocks with items.
     """
 
     heads: bytes
@@ -119,14 +118,14 @@ class SegmentBlocks(Sequence[PlacedBlock]):
         return bisect_left(self._columns.places, bisect_left(self._columns.offsets, offset))
 
     def up(self, low: ItemKey) -> Iterator[PlacedBlock]:
-        """The blocks of items that reach to `low` or beyond, by their least key."""
+        """Yield the blocks of items that end at `low` or later, in the order of their least keys."""
         for at in range(bisect_left(self._reach, low[0]), len(self._by_low)):
             block = self._item_block(self._by_low[at])
             if block.head.high >= low:
                 yield block
 
     def down(self, low: ItemKey, high: ItemKey) -> Iterator[PlacedBlock]:
-        """The blocks of items with keys from `low` up to `high`, by their greatest key, the last one first."""
+        """Yield the blocks of items with keys from `low` up to `high`, by their greatest keys, downwards."""
         for at in reversed(range(bisect_right(self._least, high[0]))):
             block = self._item_block(self._by_high[at])
             if block.head.high < low:

@@ -121,7 +121,7 @@ class RecordedStep:
         self.got_to = max(self.got_to, *(one.end_seq for one in slices if one.items), 0)
 
     def batch(self, limit_bytes: int) -> SubscriptionBatch:
-        """The next taken items, of about `limit_bytes`. If it is empty, take more, or the step is over."""
+        """The next items for the reader, of about `limit_bytes`. Empty if the step needs more items, or is over."""
         slices: list[DeliveredSlice] = []
         while self._waiting and limit_bytes > 0:
             part, following = self._waiting.popleft()
@@ -142,8 +142,10 @@ class RecordedStep:
 
     @property
     def dropped(self) -> int:
-        """How many items the archive lacks, or its limits have removed. Nobody knows which lost items were late, so all
-        lost items count whose seqs are in `late`, even if some of them would belong to a later step.
+        """The number of items that the archive lacks, or that its limits have removed.
+
+        The times of lost items are not known, and so it is not known which of them were late. Therefore all lost items
+        with seqs in `late` count, even if some of them would belong to a later step.
         """
         return max(self._dropped, self._unfound)
 
@@ -157,7 +159,7 @@ class RecordedStep:
 
     @property
     def end_got_to(self) -> int:
-        """`got_to` at the end of the step, with the late items."""
+        """The value of `got_to` after the step. It takes the late items into account."""
         return max(self.got_to, self._late_end)
 
 
@@ -168,7 +170,7 @@ def _with_seqs(part: Slice, first: int, end: int) -> Slice:
 
 
 def _next_time(slices: Sequence[Slice], time: int, lo: int) -> int | None:
-    """The first time after `time` in some slices, which ascend. `lo`: where to begin in the first one."""
+    """The first time after `time` in slices of ascending times. `lo`: the row of the first slice to begin at."""
     for at, one in enumerate(slices):
         times = one.run.times
         found = bisect_right(times, time, one.lo if at else max(one.lo, min(lo, one.hi)), one.hi)

@@ -43,9 +43,10 @@ class ItemsNotLoaded(Exception):
 
 
 class RecordedTrack:
-    """The items of a recorded member at this host. Below the floor of the channel it holds keys of one interval.
+    """The items of a recorded member at this host. Of the archived items, the track holds the keys of one interval.
 
-    No item comes below the floor any more, so a loaded interval stays right.
+    Archived items are below the floor of the channel. No item comes below the floor any more, so the loaded keys of the
+    interval stay complete.
     """
 
     def __init__(self, channel: ChannelCore, channel_id: bytes, *, is_ascending: bool = False) -> None:
@@ -109,8 +110,8 @@ class RecordedTrack:
     def _load(self, high: ItemKey, low: ItemKey, floor: ItemKey) -> Reads:
         """Load the last bucket from `low` on before the time of `high`, and all keys from there up to `high`.
 
-        If the track has an interval, the interval grows, unless the searches are ascending. The searches for one item
-        change their direction. They end, because each of them makes the interval larger.
+        If the track has an interval, the interval grows, unless the searches are ascending. The search for one item may
+        load earlier and later keys in turn. It ends, because each load makes the interval larger.
         """
         if self._is_ascending:
             self._keys, self._low, self._end = [], LAST_KEY, FIRST_KEY
@@ -124,8 +125,8 @@ class RecordedTrack:
             begin = max([begin, *(one.last_time for one in (yield down).answer().slices)])
         rest, rest_low, rest_end = self._keys, self._low, self._end
         self._keys, self._low, self._end = [], (begin, 0), (begin, 0)
-        until = rest_low if rest_low <= rest_end else min(high, floor)
-        while self._end < until:
+        load_end = rest_low if rest_low <= rest_end else min(high, floor)
+        while self._end < load_end:
             yield from self._extend(floor)
         if rest_low <= self._end < rest_end:
             self._keys += rest[bisect_left(rest, self._end) :]
