@@ -1,4 +1,4 @@
-"""Records one channel: it chooses the next items for the archive, and knows the archived ones."""
+"""Records one channel: chooses the items that the archive writes next, and knows which items it has."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class ChannelRecorder:
         self.disk = disk or DiskUse().of_channel(b"", "")
         self.keep(segments)
         self.named = 0
-        """The items that max_bytes collected before the archive had them, and that its files name."""
+        """How many items max_bytes collected before the archive had them, so that its files name them as missing."""
         self.is_stopped = False  # whether the host has given the channel up: the archive no longer writes its items
         self.failure = ""
         """Why the last write failed; empty: it succeeded."""
@@ -75,7 +75,7 @@ class ChannelRecorder:
         self.encoded_retries: Callable[[], bytes] = bytes
         """Returns the encoded retry window of the producers."""
         self.on_listed: Callable[[CleanStop | None], None] = lambda stop: None
-        """Is called when the object store has listed its segments, with the clean stop of the last owner."""
+        """The archive calls it when the object store has listed its segments, with the clean stop of the last owner."""
         self.former = FormerFiles()
         self._channel = channel
         self._accepted = channel.acceptances = channel.acceptances or Acceptances()
@@ -85,7 +85,7 @@ class ChannelRecorder:
         """All seqs below `archived_to` are on stable storage, or lost to the archive."""
         self._puts = WaitingPuts(files.run_bytes_max)
         self._advances: list[ArchivedAdvance] = []  # the advances that are not archived yet
-        self._advances_taken = 0  # how many of them, from the first on, a write has taken
+        self._advances_taken = 0  # how many of these advances, from the first on, the write under way has
         self._advance: int | None = None  # the latest advance
         self._lost_before: int | None = None  # see `note_loss`; None: no loss is to be written
         self._found_to: int | None = None
@@ -94,8 +94,8 @@ class ChannelRecorder:
         self.begin()
 
     def begin(self) -> bool:
-        """Look for the first items to write, for about 1 ms. Returns whether they are known. If not, the archive calls
-        this method again before it calls `take`.
+        """Search for the first items to write, for about 1 ms. Returns whether the search is over. If not, the archive
+        calls this method again before it calls `take`.
 
         In a shared archive, the items before the last hole in memory come from the former owner (see `MovedItems`).
         """
@@ -138,7 +138,7 @@ class ChannelRecorder:
             self._puts.join(self._channel.next_seq if held is None else held.run.first_seq)
 
     def _size_from(self, seq: int) -> tuple[int, int]:
-        """The seq up to which the items from `seq` on are counted, and the most bytes that these take on the disk.
+        """Count items from `seq` on. Returns the seq after them, and the most bytes that they take on the disk.
 
         Looks at SLICES_PER_NOTE slices at most. A channel that has moved here may have more; later calls count the
         others.
@@ -169,28 +169,28 @@ class ChannelRecorder:
 
     @property
     def backlog_items(self) -> int:
-        """The accepted items that are not archived."""
+        """The number of accepted items that are not archived."""
         return self._channel.next_seq - self.archived_to
 
     @property
     def waiting_items(self) -> int:
-        """The accepted items that the archive will still have."""
+        """The number of accepted items that the archive has still to write."""
         return given_between(self.archived_to, self._channel.next_seq) - self._channel.backlog.lost
 
     @property
     def unarchived(self) -> int:
-        """The items that max_bytes collected before the archive had them."""
+        """The number of items that max_bytes collected before the archive had them."""
         return self.named + self._channel.backlog.lost
 
     @property
     def lost_items(self) -> int:
-        """The items that neither memory nor the archive has, and that no file names yet."""
+        """The number of items that neither memory nor the archive has, and that no file names as missing yet."""
         return self._channel.backlog.lost + self._channel.backlog.at_risk
 
     @property
     def readable_segments(self) -> tuple[Segment, ...]:
-        """The segments as reads see them: the last one also has the seqs of items that no file has or names yet, and
-        that memory does not have. They are lost, or in a file of the former owner that has not come."""
+        """The segments for reads. The last one also has the seqs of items that neither memory nor a file has, and that
+        no file names as missing. These items are lost, or in a file of the former owner that has not come."""
         if not self.segments:
             return ()
         last, held = self.segments[-1], next(self._channel.accepted_from(self.archived_to), None)
@@ -223,7 +223,7 @@ class ChannelRecorder:
         self._lost_before, self._found_to = lost_before, found_to
 
     def withdraw_loss(self) -> bool:
-        """Note that the former owner stopped cleanly. Returns whether the next write must revoke a reported loss."""
+        """Note that the former owner stopped cleanly. Returns whether the next write must revoke a written loss."""
         self._lost_before, self._found_to = NOTHING_LOST if self._has_reported_loss else None, None
         return self._has_reported_loss
 
@@ -265,7 +265,7 @@ class ChannelRecorder:
         runs = parts[-1]
         assert isinstance(runs, list), "the last part is a list of runs"
         begin, end_seq = max(run.first_seq, self.archived_to), run.first_seq + len(run)
-        rows = self._accepted.between(begin, end_seq) if len(run) > 1 else None  # a move or a start has joined puts
+        rows = self._accepted.between(begin, end_seq) if len(run) > 1 else None  # None: one put
         if rows is not None and begin == run.first_seq and len(rows.ends) < 2:
             rows = None
         runs.append(ArchivedRun(self._accepted.at(begin) or 0, run, rows, begin))
@@ -328,7 +328,7 @@ class ChannelRecorder:
         self.note_end(self.failure)
 
     async def settle(self, end_seq: int) -> None:
-        """Wait until the archive has, or has named as lost, the items below `end_seq` that memory has lost.
+        """Wait until the archive has the items below `end_seq` that memory has lost, or names them as missing.
 
         Waits SETTLE_SECONDS_MAX at most, and not while the disk fails.
         """

@@ -246,10 +246,10 @@ class CopyKeeper:
             )
 
     async def _check_removed(self, channel_ids: Sequence[bytes]) -> None:
-        """Ask the directory for the copies that its leader does not know. End the feeds of the copies that are gone.
+        """Ask the directory for the copies that its leader does not know. End the feeds of the copies that it lacks.
 
-        The answer does not count for a copy with a feed: if it comes late, a caller may have added the replica again,
-        and the owner may count on its items. So the host ends the feed, and asks once more.
+        An answer that comes late may be wrong: a caller may have added the replica again, and the owner may count on
+        its items. So the host first ends the feed of such a copy, and then asks once more.
         """
         for channel_id in channel_ids:
             copy = self._copies.get(channel_id)

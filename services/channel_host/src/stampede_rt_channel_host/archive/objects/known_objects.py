@@ -1,5 +1,5 @@
-"""The list of a channel's objects on the disk of its host, for starts while the object store is unreachable. Calls
-block their thread.
+"""Keeps a list of the objects of a channel on the disk of the host. A host that starts while the object store is
+unreachable reads this list instead. Calls block their thread.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class ObjectListing(NamedTuple):
     `epoch`: the epoch of the channel at the host that noted the objects.
 
     These are all objects of the channel if no other host has owned the channel since. `dropped_to`: all segments up to
-    this number have left the archive, also those whose objects are still in the store.
+    this number have left the archive, even if their objects are still in the store.
     """
 
     epoch: int
@@ -33,7 +33,8 @@ class ObjectListing(NamedTuple):
 class KnownObjects:
     """A file with a line for each change, each with a checksum. Any damage makes the whole list unknown.
 
-    If a line cannot be written, the list is deleted, because moves must continue: they make room on a full disk.
+    If the host cannot write a line, it deletes the list, and the files continue to move to the object store. On a full
+    disk these moves make room.
     """
 
     def __init__(self, folder: Path, url: str) -> None:
@@ -70,7 +71,7 @@ class KnownObjects:
         return ObjectListing(epoch, objects, dropped_to)
 
     def replace(self, known: ObjectListing) -> None:
-        """Write the list, unless the file has it in this form. Raises OSError if it cannot be deleted either."""
+        """Write the list, unless the file has it. If this fails, delete the list. Raises OSError if that fails."""
         self.changes = 0
         dropped = {_DROPPED: known.dropped_to} if known.dropped_to else {}
         content = "".join([_encoded(known.epoch, self._url), *_lines(dropped | known.objects)]).encode()
@@ -87,7 +88,7 @@ class KnownObjects:
             self._path.unlink(missing_ok=True)
 
     def add(self, objects: Mapping[str, int]) -> None:
-        """Add objects to the list, if there is one. Raises OSError as `replace`."""
+        """Add objects to the list, if there is one. Raises OSError if it can neither write nor delete the list."""
         if not objects or not self._path.exists():
             return
         self.changes += len(objects)
@@ -101,7 +102,7 @@ class KnownObjects:
         self._path.unlink(missing_ok=True)
 
     def remove(self, names: Iterable[str]) -> None:
-        """Remove objects from the list, because they leave the archive. Raises OSError as `replace`."""
+        """Remove objects from the list, because they leave the archive. Raises the errors of `add`."""
         self.add(dict.fromkeys(names, 0))
 
     def drop(self, names: Iterable[str], to: int) -> None:

@@ -1,4 +1,4 @@
-"""The folders of channels that this host does not record now: their closed files go to the store, or are deleted."""
+"""Empties the folders of channels that this host does not record now: moves or deletes their closed files."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class ThreadCall(Protocol):
 
 
 class Leftovers:
-    """The folders that were in `folder` when the host started, and the channels that were deleted since.
+    """The channels whose folders were in `folder` when the host started, and the channels that were deleted since.
 
     The folder of a channel that stopped cleanly keeps the note of this stop. `open_files` makes the `MovingFiles` of
     the channel with the given id.
@@ -49,11 +49,11 @@ class Leftovers:
         self._owned = dict(epochs)
 
     def stops(self) -> dict[str, Callable[[], None]]:
-        """The names of objects that the host must make, each with the function that the caller then calls.
+        """The names of objects that the host must make. The caller makes an object, and then calls its function.
 
         An object reports the clean stop of a channel that this host owns, and has not served since its start. The host
-        accepted no items of the channel in the present epoch. So the note of the host's former stop is still true if it
-        names the epoch before the present one. Blocks its thread. Raises OSError.
+        accepted no items of the channel in the present epoch. So the note of its former stop is still true, if this
+        note names the epoch before the present one. Blocks its thread. Raises OSError.
         """
         found: dict[str, Callable[[], None]] = {}
         for channel_id, epoch in self._owned.items():
@@ -81,7 +81,7 @@ class Leftovers:
         return channel_id in self._taken
 
     def look(self) -> None:
-        """Find the folders. Blocks its thread. Raises OSError."""
+        """Find the folders of channels in `folder`. Blocks its thread. Raises OSError."""
         for path in self._folder.iterdir() if self._folder.is_dir() else ():
             channel_id = _channel_of(path)
             if channel_id is None:
@@ -105,7 +105,7 @@ class Leftovers:
         return opened
 
     def condemn(self, channel_id: bytes) -> None:
-        """Note that the channel was deleted, for `delete_condemned`."""
+        """Note that the channel was deleted. `delete_condemned` deletes its objects and its folder."""
         self._condemned.append(channel_id)
 
     async def delete_condemned(self, in_thread: ThreadCall) -> None:

@@ -92,8 +92,8 @@ class Acceptance:
         self._retention.apply_time(clock)
         if self._retention.has_room(items, payload_bytes):
             return True
-        drops = limits.drops_oldest and held.items > 0 and self._retention.consumers is None
-        return drops and self._drops_the_same(items, payload_bytes, low)
+        may_drop = limits.drops_oldest and held.items > 0 and self._retention.consumers is None
+        return may_drop and self._drops_the_same(items, payload_bytes, low)
 
     def _least_time(self) -> int:
         """The least time that an accepted item may have."""
@@ -102,7 +102,7 @@ class Acceptance:
         return least if advance is None else max(least, advance)
 
     def _drops_the_same(self, items: int, payload_bytes: int, low: int) -> bool:
-        """Whether one step for the whole run drops the same items, with the same span ends, as a step for each item.
+        """Whether one step for the whole run drops the same items as a step for each item, with equal ends of spans.
 
         There are two conditions. First, only one of max_items and max_bytes drops items. Second, the bucket after the
         dropped items is held already and begins at or before all new items, so that no new item ends a dropped span
@@ -198,7 +198,7 @@ class Acceptance:
         )
 
     def _below_promises(self, time: int) -> str | None:
-        """A text that names the advance, or the collected items, after which the item comes too late; or None."""
+        """A text that names the advance or the collected items that refuse an item at `time`, or None if none do."""
         if self.advance is not None and time < self.advance:
             return f"an advance has promised that nothing before {self.advance} comes"
         collected = self._held.newest_collected
@@ -283,9 +283,9 @@ class _ItemByItem:
     def _as_if_put_at(self, time: int) -> int:
         """The time at which an item counts as put while it waits for room.
 
-        This is the item's own time. For an item without a time it is the start of the wait, but later than the newest
-        item. The channel stamps such an item when it accepts the item. The newest bucket never ages, so an item that
-        counted as part of that bucket would wait for ever.
+        This is the item's own time. For an item without a time it is the start of the wait, or the instant after the
+        newest item if this is later. The channel gives such an item its time only when it accepts the item. The newest
+        bucket never ages, so an item that counted as part of that bucket would wait for ever.
         """
         if self._offer.times is not None:
             return time

@@ -32,7 +32,7 @@ FREED_ENTRIES_MAX = 2048
 COPIED_DIVISOR = 4
 COPIED_PARTS_MAX = 4
 """A channel copies the few remaining items of a run, and frees the run's body, if the body has more than
-COPIED_BYTES_MIN bytes, and at most 1 / COPIED_DIVISOR of the items are left, in at most COPIED_PARTS_MAX parts."""
+COPIED_BYTES_MIN bytes, and at most 1 / COPIED_DIVISOR of the items remain, in at most COPIED_PARTS_MAX parts."""
 
 
 class Holdings(HeldItems):
@@ -89,9 +89,9 @@ class Holdings(HeldItems):
     def _reset_floor(self) -> None:
         """Free all outdated items, and reset the floor, because a new item is earlier than some consumed items.
 
-        The outdated items are few, except items that a snapshot has kept. One reason is that consumption outdates
-        nothing while many items wait to be freed (see `Retention.collect_consumed`). The other is that a channel
-        refuses a new item earlier than items that were outdated for another cause.
+        The outdated items are few, except items that a snapshot has kept, for two reasons. First, consumption outdates
+        nothing while many items wait to be freed (see `Retention.collect_consumed`). Second, only consumed items may be
+        later than a new item: the channel refuses an item earlier than items that were outdated for another cause.
         """
         self.floor_resets += 1
         for note_reset in self._on_floor_reset or ():
@@ -121,7 +121,7 @@ class Holdings(HeldItems):
                 return
 
     def _count_in(self, items: int, payload_bytes: int, low: int) -> None:
-        """Count new items, the earliest of them at `low`, in all sums. Close a block if it is full."""
+        """Add new items to all counts. `low`: the time of the earliest one. Closes a block if it is full."""
         self._following, self.shared_batches = (None, None), None
         outside = self.items - self._blocks.items
         if outside >= item_blocks.BLOCK_ITEMS and self.newest is not None and low >= self.newest:
@@ -138,8 +138,8 @@ class Holdings(HeldItems):
             self._close_block()
 
     def _count_newest(self, items: int, payload_bytes: int, high: int) -> None:
-        """Count new items in the newest bucket if the latest of them, at `high`, belongs there. Then all of them count
-        there, because only an upper bound is needed.
+        """Count new items in the newest bucket, if the latest of them, at `high`, belongs there. The earlier ones count
+        there, too: the count needs to be an upper bound only.
         """
         if self.newest is not None and high < self.newest:
             return

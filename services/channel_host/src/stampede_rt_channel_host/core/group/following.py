@@ -1,4 +1,4 @@
-"""The items of one channel that become visible as the cut rises, each once (paper, section 3.3). Pure.
+"""Gives a reader each item of one channel once, when the cut makes it visible (paper, section 3.3). Pure.
 
 A follower is done with all items before its cut that have a seq below its `next_seq`. A step takes it to a later cut.
 The step brings the items between the two cuts. It also brings the late items: items before the former cut that the
@@ -20,7 +20,7 @@ from stampede_rt_channel_host.core.merging import Merge
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Loss:
-    """Items that the reader should have got, and that are gone. They may have any time before `before`, exclusive.
+    """Items that the reader should have got, and that the channel no longer has. Their times are before `before`.
 
     The host knows of `items` lost items. If `is_exact`, no other item is lost, and all lost items have seqs from
     `first_seq` to `last_seq`, both inclusive. Otherwise further items may be lost. `reason` says how they were lost.
@@ -121,8 +121,10 @@ class CutFollower:
         return not _reaches(held, self.cut) and held.held_up_to(self.next_seq, end, LOOKED_AT_MAX) >= end
 
     def unheld_rest(self, now: int) -> tuple[ItemKey, int, int] | None:
-        """The rest of the present step, if memory has lost some of its items: the key below which the reader has all
-        items, the step's cut and the end of its seqs. None: memory has all, or there are late items to take first.
+        """The rest of the present step, if memory has lost some of its items; otherwise None.
+
+        Returns the key below which the reader has all items, the step's cut, and the end of its seqs. Returns None also
+        if there are late items to take first.
         """
         held, _ = self._channel.look(now)
         is_whole = held.floor <= self._range_start or not _reaches(held, self._range_start[0])
@@ -154,32 +156,32 @@ class CutFollower:
         held, _ = self._channel.look(now)
         if not self._look_for_late(held):
             return StepPart(is_last=False)
-        late, left, done = self._take_late(held, limit_bytes)
+        late, left_bytes, done = self._take_late(held, limit_bytes)
         slices: list[DeliveredSlice] = []
         if done:
-            slices, left, done = self._take_range(held, left, pieces.STEPS_PER_PIECE - len(late))
-        if left <= 0 or not done:
+            slices, left_bytes, done = self._take_range(held, left_bytes, pieces.STEPS_PER_PIECE - len(late))
+        if left_bytes <= 0 or not done:
             return StepPart(slices=slices, late=late, is_last=False)
         return StepPart(slices=slices, late=late, is_last=True, loss=self._finish(held))
 
-    def _take_range(self, held: Holdings, left: int, steps: int) -> tuple[list[DeliveredSlice], int, bool]:
+    def _take_range(self, held: Holdings, left_bytes: int, steps: int) -> tuple[list[DeliveredSlice], int, bool]:
         """Give newly visible items that the channel had when the step began.
 
-        Returns the items, the rest of the limit `left`, and whether the step has no more such items.
+        Returns the items, the rest of the limit `left_bytes`, and whether the step has no more such items.
         """
         taken: list[DeliveredSlice] = []
         for part in held.slices(self._range_start, self._target):
-            if left <= 0 or steps <= 0:
-                return taken, left, False
+            if left_bytes <= 0 or steps <= 0:
+                return taken, left_bytes, False
             given = part
             if part.run.first_seq < self._seq_end:
-                given = part.within(left)
+                given = part.within(left_bytes)
                 taken.append(self._deliver(held, given))
                 self._given_above += given.items
-                left -= given.charge_bytes
+                left_bytes -= given.charge_bytes
             self._range_start = given.last_time, given.end_seq
             steps -= 1
-        return taken, left, True
+        return taken, left_bytes, True
 
     def _look_for_late(self, held: Holdings) -> bool:
         """Search some of the newly accepted items for late ones, in seq order. Returns True if the search is over."""
@@ -196,24 +198,24 @@ class CutFollower:
         self._is_searched = True
         return True
 
-    def _take_late(self, held: Holdings, left: int) -> tuple[list[DeliveredSlice], int, bool]:
+    def _take_late(self, held: Holdings, left_bytes: int) -> tuple[list[DeliveredSlice], int, bool]:
         """Give found late items that are still held. Returns the same three values as `_take_range`."""
         taken: list[DeliveredSlice] = []
         for _ in range(pieces.STEPS_PER_PIECE):
-            if left <= 0:
-                return taken, left, False
+            if left_bytes <= 0:
+                return taken, left_bytes, False
             part = self._late_rest or next(self._late, None)
             if part is None:
-                return taken, left, True
+                return taken, left_bytes, True
             self._late_rest = None
             _, rest = split_at(part, held.floor)
             if rest.items:
-                given = rest.within(left)
+                given = rest.within(left_bytes)
                 taken.append(self._deliver(held, given))
                 self._given_below += given.items
-                left -= given.charge_bytes
+                left_bytes -= given.charge_bytes
                 self._late_rest = Slice(rest.run, given.hi, rest.hi) if given.hi < rest.hi else None
-        return taken, left, False
+        return taken, left_bytes, False
 
     def _deliver(self, held: Holdings, part: Slice) -> DeliveredSlice:
         """The slice for delivery. An item at or after the cut ends no span, because no reader may see it yet."""
