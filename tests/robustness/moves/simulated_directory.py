@@ -127,12 +127,14 @@ class SimulatedDirectory(GatheredMoves):
         )
 
     async def commit_one(self, move: MoveCommit) -> RecordedChannel:
+        registered_index = self.host.registered_index if move.permit else 0
         await self._ask_for_commit([move])
         if (before := self.world.commits.get(move.request_id)) is not None:
             return before
         operation = CommitMove(
             channel_id=move.channel_id, epoch=move.epoch, to_host_id=self.host.identity.host_id,
-            to_boot_incarnation=self.host.identity.boot_incarnation, permit=move.permit,
+            to_boot_incarnation=self.host.identity.boot_incarnation, to_registered_index=registered_index,
+            permit=move.permit,
         )  # fmt: skip
         done = self.world.apply(operation)
         assert isinstance(done, MoveCommitted)
@@ -141,9 +143,11 @@ class SimulatedDirectory(GatheredMoves):
         return record
 
     async def commit_all(self, moves: Sequence[MoveCommit]) -> list[RecordedChannel]:
+        registered_index = self.host.registered_index
         await self._ask_for_commit(moves)
         operation = CommitMoves(
             to_host_id=self.host.identity.host_id, to_boot_incarnation=self.host.identity.boot_incarnation,
+            to_registered_index=registered_index,
             moves=tuple(MoveToCommit(channel_id=one.channel_id, epoch=one.epoch, permit=one.permit) for one in moves),
         )  # fmt: skip
         done = self.world.apply(operation)

@@ -181,6 +181,7 @@ class Host:
         self.world = world
         self.alive = True
         self.has_lease = True
+        self.registered_index = 0  # the log position of its registration; 0: it states none
         self.running = asyncio.Event()  # cleared while its process is stopped
         self.running.set()
         self.identity = HostIdentity(

@@ -195,12 +195,13 @@ class DirectoryOfQueues:
         ))  # fmt: skip
 
     async def commit_queue(self, queue_id: bytes, epoch: int, request_id: bytes, permit: bytes = b"") -> RecordedQueue:
-        cluster, identity = await self._reach(), self._host.identity
+        identity, registered_index = self._host.identity, self._host.registered_index if permit else 0
+        cluster = await self._reach()
         if (before := cluster.queue_commits.get(request_id)) is not None:
             return before
         result = cluster.apply(CommitQueueMove(
             queue_id=queue_id, epoch=epoch, to_host_id=identity.host_id,
-            to_boot_incarnation=identity.boot_incarnation, permit=permit,
+            to_boot_incarnation=identity.boot_incarnation, to_registered_index=registered_index, permit=permit,
         ))  # fmt: skip
         assert isinstance(result, QueueMoveCommitted)
         record = cluster.queue_commits[request_id] = recorded_queue(queue_record(result.queue))

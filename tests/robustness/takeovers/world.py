@@ -146,6 +146,7 @@ class Cluster(World):
         number = self._number(host.identity.host_id)
         boot = host.identity.boot_incarnation
         self.apply(register(number, boot=boot, incarnation=self.rng.getrandbits(63), move_key=key_of(number)))
+        host.registered_index = self.log.directory.tables.hosts[host.identity.host_id].registered_index
         self.renewed_s[number] = self.clock.now_s
 
     def owned_by(self, host: Host) -> list[Any]:

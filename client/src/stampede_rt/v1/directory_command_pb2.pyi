@@ -341,42 +341,48 @@ class RemoveReplicaCommand(_message.Message):
     def __init__(self, subject: _Optional[_Union[_subject_pb2.Subject, _Mapping]] = ..., host_id: _Optional[bytes] = ..., epoch: _Optional[int] = ...) -> None: ...
 
 class CommitMoveCommand(_message.Message):
-    __slots__ = ("channel_id", "epoch", "to_host_id", "to_boot_incarnation", "permit")
+    __slots__ = ("channel_id", "epoch", "to_host_id", "to_boot_incarnation", "permit", "to_registered_index")
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     TO_HOST_ID_FIELD_NUMBER: _ClassVar[int]
     TO_BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     PERMIT_FIELD_NUMBER: _ClassVar[int]
+    TO_REGISTERED_INDEX_FIELD_NUMBER: _ClassVar[int]
     channel_id: bytes
     epoch: int
     to_host_id: bytes
     to_boot_incarnation: int
     permit: bytes
-    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ..., permit: _Optional[bytes] = ...) -> None: ...
+    to_registered_index: int
+    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ..., permit: _Optional[bytes] = ..., to_registered_index: _Optional[int] = ...) -> None: ...
 
 class CommitQueueMoveCommand(_message.Message):
-    __slots__ = ("queue_id", "epoch", "to_host_id", "to_boot_incarnation", "permit")
+    __slots__ = ("queue_id", "epoch", "to_host_id", "to_boot_incarnation", "permit", "to_registered_index")
     QUEUE_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     TO_HOST_ID_FIELD_NUMBER: _ClassVar[int]
     TO_BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     PERMIT_FIELD_NUMBER: _ClassVar[int]
+    TO_REGISTERED_INDEX_FIELD_NUMBER: _ClassVar[int]
     queue_id: bytes
     epoch: int
     to_host_id: bytes
     to_boot_incarnation: int
     permit: bytes
-    def __init__(self, queue_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ..., permit: _Optional[bytes] = ...) -> None: ...
+    to_registered_index: int
+    def __init__(self, queue_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ..., permit: _Optional[bytes] = ..., to_registered_index: _Optional[int] = ...) -> None: ...
 
 class CommitMovesCommand(_message.Message):
-    __slots__ = ("to_host_id", "to_boot_incarnation", "moves")
+    __slots__ = ("to_host_id", "to_boot_incarnation", "moves", "to_registered_index")
     TO_HOST_ID_FIELD_NUMBER: _ClassVar[int]
     TO_BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     MOVES_FIELD_NUMBER: _ClassVar[int]
+    TO_REGISTERED_INDEX_FIELD_NUMBER: _ClassVar[int]
     to_host_id: bytes
     to_boot_incarnation: int
     moves: _containers.RepeatedCompositeFieldContainer[_move_pb2.MoveToCommit]
-    def __init__(self, to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ..., moves: _Optional[_Iterable[_Union[_move_pb2.MoveToCommit, _Mapping]]] = ...) -> None: ...
+    to_registered_index: int
+    def __init__(self, to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ..., moves: _Optional[_Iterable[_Union[_move_pb2.MoveToCommit, _Mapping]]] = ..., to_registered_index: _Optional[int] = ...) -> None: ...
 
 class ReleaseMovesCommand(_message.Message):
     __slots__ = ("host_id", "moves")

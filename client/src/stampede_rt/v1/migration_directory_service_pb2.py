@@ -28,7 +28,7 @@ from stampede_rt.v1 import move_pb2 as stampede__rt_dot_v1_dot_move__pb2
 from stampede_rt.v1 import queue_pb2 as stampede__rt_dot_v1_dot_queue__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n0stampede_rt/v1/migration_directory_service.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/channel.proto\x1a\x1estampede_rt/v1/directory.proto\x1a\x19stampede_rt/v1/move.proto\x1a\x1astampede_rt/v1/queue.proto\"\x8b\x01\n\x11\x43ommitMoveRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x12\n\nchannel_id\x18\x02 \x01(\x0c\x12\r\n\x05\x65poch\x18\x03 \x01(\x04\x12\x12\n\nto_host_id\x18\x04 \x01(\x0c\x12\x1b\n\x13to_boot_incarnation\x18\x05 \x01(\x06\x12\x0e\n\x06permit\x18\x06 \x01(\x0c\"\x86\x01\n\x12\x43ommitMovesRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x12\n\nto_host_id\x18\x02 \x01(\x0c\x12\x1b\n\x13to_boot_incarnation\x18\x03 \x01(\x06\x12+\n\x05moves\x18\x04 \x03(\x0b\x32\x1c.stampede_rt.v1.MoveToCommit\"F\n\x13\x43ommitMovesResponse\x12/\n\x08\x63hannels\x18\x01 \x03(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\"h\n\x13ReleaseMovesRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x0f\n\x07host_id\x18\x02 \x01(\x0c\x12,\n\x05moves\x18\x03 \x03(\x0b\x32\x1d.stampede_rt.v1.MoveToRelease\"+\n\x14ReleaseMovesResponse\x12\x13\n\x0b\x63hannel_ids\x18\x01 \x03(\x0c\"@\n\x18ListReleasedMovesRequest\x12\x0f\n\x07host_id\x18\x01 \x01(\x0c\x12\x13\n\x0b\x63hannel_ids\x18\x02 \x03(\x0c\"0\n\x19ListReleasedMovesResponse\x12\x13\n\x0b\x63hannel_ids\x18\x01 \x03(\x0c\"(\n\x11ListOwnersRequest\x12\x13\n\x0b\x63hannel_ids\x18\x01 \x03(\x0c\"p\n\x12ListOwnersResponse\x12/\n\x08\x63hannels\x18\x01 \x03(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\x12)\n\x05hosts\x18\x02 \x03(\x0b\x32\x1a.stampede_rt.v1.HostRecord\"\x8e\x01\n\x16\x43ommitQueueMoveRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x10\n\x08queue_id\x18\x02 \x01(\x0c\x12\r\n\x05\x65poch\x18\x03 \x01(\x04\x12\x12\n\nto_host_id\x18\x04 \x01(\x0c\x12\x1b\n\x13to_boot_incarnation\x18\x05 \x01(\x06\x12\x0e\n\x06permit\x18\x06 \x01(\x0c\"E\n\x17\x43ommitQueueMoveResponse\x12*\n\x05queue\x18\x01 \x01(\x0b\x32\x1b.stampede_rt.v1.QueueRecord\"D\n\x12\x43ommitMoveResponse\x12.\n\x07\x63hannel\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord2\xc6\x04\n\x19MigrationDirectoryService\x12S\n\nCommitMove\x12!.stampede_rt.v1.CommitMoveRequest\x1a\".stampede_rt.v1.CommitMoveResponse\x12V\n\x0b\x43ommitMoves\x12\".stampede_rt.v1.CommitMovesRequest\x1a#.stampede_rt.v1.CommitMovesResponse\x12Y\n\x0cReleaseMoves\x12#.stampede_rt.v1.ReleaseMovesRequest\x1a$.stampede_rt.v1.ReleaseMovesResponse\x12h\n\x11ListReleasedMoves\x12(.stampede_rt.v1.ListReleasedMovesRequest\x1a).stampede_rt.v1.ListReleasedMovesResponse\x12S\n\nListOwners\x12!.stampede_rt.v1.ListOwnersRequest\x1a\".stampede_rt.v1.ListOwnersResponse\x12\x62\n\x0f\x43ommitQueueMove\x12&.stampede_rt.v1.CommitQueueMoveRequest\x1a\'.stampede_rt.v1.CommitQueueMoveResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n0stampede_rt/v1/migration_directory_service.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/channel.proto\x1a\x1estampede_rt/v1/directory.proto\x1a\x19stampede_rt/v1/move.proto\x1a\x1astampede_rt/v1/queue.proto\"\xa8\x01\n\x11\x43ommitMoveRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x12\n\nchannel_id\x18\x02 \x01(\x0c\x12\r\n\x05\x65poch\x18\x03 \x01(\x04\x12\x12\n\nto_host_id\x18\x04 \x01(\x0c\x12\x1b\n\x13to_boot_incarnation\x18\x05 \x01(\x06\x12\x0e\n\x06permit\x18\x06 \x01(\x0c\x12\x1b\n\x13to_registered_index\x18\x07 \x01(\x04\"\xa3\x01\n\x12\x43ommitMovesRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x12\n\nto_host_id\x18\x02 \x01(\x0c\x12\x1b\n\x13to_boot_incarnation\x18\x03 \x01(\x06\x12+\n\x05moves\x18\x04 \x03(\x0b\x32\x1c.stampede_rt.v1.MoveToCommit\x12\x1b\n\x13to_registered_index\x18\x05 \x01(\x04\"F\n\x13\x43ommitMovesResponse\x12/\n\x08\x63hannels\x18\x01 \x03(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\"h\n\x13ReleaseMovesRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x0f\n\x07host_id\x18\x02 \x01(\x0c\x12,\n\x05moves\x18\x03 \x03(\x0b\x32\x1d.stampede_rt.v1.MoveToRelease\"+\n\x14ReleaseMovesResponse\x12\x13\n\x0b\x63hannel_ids\x18\x01 \x03(\x0c\"@\n\x18ListReleasedMovesRequest\x12\x0f\n\x07host_id\x18\x01 \x01(\x0c\x12\x13\n\x0b\x63hannel_ids\x18\x02 \x03(\x0c\"0\n\x19ListReleasedMovesResponse\x12\x13\n\x0b\x63hannel_ids\x18\x01 \x03(\x0c\"(\n\x11ListOwnersRequest\x12\x13\n\x0b\x63hannel_ids\x18\x01 \x03(\x0c\"p\n\x12ListOwnersResponse\x12/\n\x08\x63hannels\x18\x01 \x03(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\x12)\n\x05hosts\x18\x02 \x03(\x0b\x32\x1a.stampede_rt.v1.HostRecord\"\xab\x01\n\x16\x43ommitQueueMoveRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x10\n\x08queue_id\x18\x02 \x01(\x0c\x12\r\n\x05\x65poch\x18\x03 \x01(\x04\x12\x12\n\nto_host_id\x18\x04 \x01(\x0c\x12\x1b\n\x13to_boot_incarnation\x18\x05 \x01(\x06\x12\x0e\n\x06permit\x18\x06 \x01(\x0c\x12\x1b\n\x13to_registered_index\x18\x07 \x01(\x04\"E\n\x17\x43ommitQueueMoveResponse\x12*\n\x05queue\x18\x01 \x01(\x0b\x32\x1b.stampede_rt.v1.QueueRecord\"D\n\x12\x43ommitMoveResponse\x12.\n\x07\x63hannel\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord2\xc6\x04\n\x19MigrationDirectoryService\x12S\n\nCommitMove\x12!.stampede_rt.v1.CommitMoveRequest\x1a\".stampede_rt.v1.CommitMoveResponse\x12V\n\x0b\x43ommitMoves\x12\".stampede_rt.v1.CommitMovesRequest\x1a#.stampede_rt.v1.CommitMovesResponse\x12Y\n\x0cReleaseMoves\x12#.stampede_rt.v1.ReleaseMovesRequest\x1a$.stampede_rt.v1.ReleaseMovesResponse\x12h\n\x11ListReleasedMoves\x12(.stampede_rt.v1.ListReleasedMovesRequest\x1a).stampede_rt.v1.ListReleasedMovesResponse\x12S\n\nListOwners\x12!.stampede_rt.v1.ListOwnersRequest\x1a\".stampede_rt.v1.ListOwnersResponse\x12\x62\n\x0f\x43ommitQueueMove\x12&.stampede_rt.v1.CommitQueueMoveRequest\x1a\'.stampede_rt.v1.CommitQueueMoveResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -36,29 +36,29 @@ _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'stampede_rt.v1.migration_di
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
   _globals['_COMMITMOVEREQUEST']._serialized_start=186
-  _globals['_COMMITMOVEREQUEST']._serialized_end=325
-  _globals['_COMMITMOVESREQUEST']._serialized_start=328
-  _globals['_COMMITMOVESREQUEST']._serialized_end=462
-  _globals['_COMMITMOVESRESPONSE']._serialized_start=464
-  _globals['_COMMITMOVESRESPONSE']._serialized_end=534
-  _globals['_RELEASEMOVESREQUEST']._serialized_start=536
-  _globals['_RELEASEMOVESREQUEST']._serialized_end=640
-  _globals['_RELEASEMOVESRESPONSE']._serialized_start=642
-  _globals['_RELEASEMOVESRESPONSE']._serialized_end=685
-  _globals['_LISTRELEASEDMOVESREQUEST']._serialized_start=687
-  _globals['_LISTRELEASEDMOVESREQUEST']._serialized_end=751
-  _globals['_LISTRELEASEDMOVESRESPONSE']._serialized_start=753
-  _globals['_LISTRELEASEDMOVESRESPONSE']._serialized_end=801
-  _globals['_LISTOWNERSREQUEST']._serialized_start=803
-  _globals['_LISTOWNERSREQUEST']._serialized_end=843
-  _globals['_LISTOWNERSRESPONSE']._serialized_start=845
-  _globals['_LISTOWNERSRESPONSE']._serialized_end=957
-  _globals['_COMMITQUEUEMOVEREQUEST']._serialized_start=960
-  _globals['_COMMITQUEUEMOVEREQUEST']._serialized_end=1102
-  _globals['_COMMITQUEUEMOVERESPONSE']._serialized_start=1104
-  _globals['_COMMITQUEUEMOVERESPONSE']._serialized_end=1173
-  _globals['_COMMITMOVERESPONSE']._serialized_start=1175
-  _globals['_COMMITMOVERESPONSE']._serialized_end=1243
-  _globals['_MIGRATIONDIRECTORYSERVICE']._serialized_start=1246
-  _globals['_MIGRATIONDIRECTORYSERVICE']._serialized_end=1828
+  _globals['_COMMITMOVEREQUEST']._serialized_end=354
+  _globals['_COMMITMOVESREQUEST']._serialized_start=357
+  _globals['_COMMITMOVESREQUEST']._serialized_end=520
+  _globals['_COMMITMOVESRESPONSE']._serialized_start=522
+  _globals['_COMMITMOVESRESPONSE']._serialized_end=592
+  _globals['_RELEASEMOVESREQUEST']._serialized_start=594
+  _globals['_RELEASEMOVESREQUEST']._serialized_end=698
+  _globals['_RELEASEMOVESRESPONSE']._serialized_start=700
+  _globals['_RELEASEMOVESRESPONSE']._serialized_end=743
+  _globals['_LISTRELEASEDMOVESREQUEST']._serialized_start=745
+  _globals['_LISTRELEASEDMOVESREQUEST']._serialized_end=809
+  _globals['_LISTRELEASEDMOVESRESPONSE']._serialized_start=811
+  _globals['_LISTRELEASEDMOVESRESPONSE']._serialized_end=859
+  _globals['_LISTOWNERSREQUEST']._serialized_start=861
+  _globals['_LISTOWNERSREQUEST']._serialized_end=901
+  _globals['_LISTOWNERSRESPONSE']._serialized_start=903
+  _globals['_LISTOWNERSRESPONSE']._serialized_end=1015
+  _globals['_COMMITQUEUEMOVEREQUEST']._serialized_start=1018
+  _globals['_COMMITQUEUEMOVEREQUEST']._serialized_end=1189
+  _globals['_COMMITQUEUEMOVERESPONSE']._serialized_start=1191
+  _globals['_COMMITQUEUEMOVERESPONSE']._serialized_end=1260
+  _globals['_COMMITMOVERESPONSE']._serialized_start=1262
+  _globals['_COMMITMOVERESPONSE']._serialized_end=1330
+  _globals['_MIGRATIONDIRECTORYSERVICE']._serialized_start=1333
+  _globals['_MIGRATIONDIRECTORYSERVICE']._serialized_end=1915
 # @@protoc_insertion_point(module_scope)

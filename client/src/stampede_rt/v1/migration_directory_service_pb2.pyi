@@ -11,32 +11,36 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class CommitMoveRequest(_message.Message):
-    __slots__ = ("request_id", "channel_id", "epoch", "to_host_id", "to_boot_incarnation", "permit")
+    __slots__ = ("request_id", "channel_id", "epoch", "to_host_id", "to_boot_incarnation", "permit", "to_registered_index")
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     TO_HOST_ID_FIELD_NUMBER: _ClassVar[int]
     TO_BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     PERMIT_FIELD_NUMBER: _ClassVar[int]
+    TO_REGISTERED_INDEX_FIELD_NUMBER: _ClassVar[int]
     request_id: bytes
     channel_id: bytes
     epoch: int
     to_host_id: bytes
     to_boot_incarnation: int
     permit: bytes
-    def __init__(self, request_id: _Optional[bytes] = ..., channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ..., permit: _Optional[bytes] = ...) -> None: ...
+    to_registered_index: int
+    def __init__(self, request_id: _Optional[bytes] = ..., channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ..., permit: _Optional[bytes] = ..., to_registered_index: _Optional[int] = ...) -> None: ...
 
 class CommitMovesRequest(_message.Message):
-    __slots__ = ("request_id", "to_host_id", "to_boot_incarnation", "moves")
+    __slots__ = ("request_id", "to_host_id", "to_boot_incarnation", "moves", "to_registered_index")
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     TO_HOST_ID_FIELD_NUMBER: _ClassVar[int]
     TO_BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     MOVES_FIELD_NUMBER: _ClassVar[int]
+    TO_REGISTERED_INDEX_FIELD_NUMBER: _ClassVar[int]
     request_id: bytes
     to_host_id: bytes
     to_boot_incarnation: int
     moves: _containers.RepeatedCompositeFieldContainer[_move_pb2.MoveToCommit]
-    def __init__(self, request_id: _Optional[bytes] = ..., to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ..., moves: _Optional[_Iterable[_Union[_move_pb2.MoveToCommit, _Mapping]]] = ...) -> None: ...
+    to_registered_index: int
+    def __init__(self, request_id: _Optional[bytes] = ..., to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ..., moves: _Optional[_Iterable[_Union[_move_pb2.MoveToCommit, _Mapping]]] = ..., to_registered_index: _Optional[int] = ...) -> None: ...
 
 class CommitMovesResponse(_message.Message):
     __slots__ = ("channels",)
@@ -89,20 +93,22 @@ class ListOwnersResponse(_message.Message):
     def __init__(self, channels: _Optional[_Iterable[_Union[_channel_pb2.ChannelRecord, _Mapping]]] = ..., hosts: _Optional[_Iterable[_Union[_directory_pb2.HostRecord, _Mapping]]] = ...) -> None: ...
 
 class CommitQueueMoveRequest(_message.Message):
-    __slots__ = ("request_id", "queue_id", "epoch", "to_host_id", "to_boot_incarnation", "permit")
+    __slots__ = ("request_id", "queue_id", "epoch", "to_host_id", "to_boot_incarnation", "permit", "to_registered_index")
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     QUEUE_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     TO_HOST_ID_FIELD_NUMBER: _ClassVar[int]
     TO_BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     PERMIT_FIELD_NUMBER: _ClassVar[int]
+    TO_REGISTERED_INDEX_FIELD_NUMBER: _ClassVar[int]
     request_id: bytes
     queue_id: bytes
     epoch: int
     to_host_id: bytes
     to_boot_incarnation: int
     permit: bytes
-    def __init__(self, request_id: _Optional[bytes] = ..., queue_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ..., permit: _Optional[bytes] = ...) -> None: ...
+    to_registered_index: int
+    def __init__(self, request_id: _Optional[bytes] = ..., queue_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ..., permit: _Optional[bytes] = ..., to_registered_index: _Optional[int] = ...) -> None: ...
 
 class CommitQueueMoveResponse(_message.Message):
     __slots__ = ("queue",)

@@ -333,6 +333,7 @@ class ChannelHost:
             self._on_defect(failure)
 
     async def _registered(self, response: directory_service_pb2.RegisterHostResponse) -> None:
+        self._move_directory.registered_index = response.registered_index
         channels, queues, scheduler = response.channels, response.queues, self.store.scheduler
         self.store.recordings.own({one.channel_id: one.epoch for one in channels})
         await scheduler.do(

@@ -176,8 +176,8 @@ OPERATIONS: list[Operation] = [
     replace(add_replica(id_of(2), 3, epoch=4, warm=True, acknowledged=True), is_of_queue=True),
     replace(remove_replica(id_of(2), 3), is_of_queue=True),
     replace(set_in_sync(id_of(2), 3, epoch=4, boot=5), is_of_queue=True),
-    CommitMove(channel_id=id_of(2), epoch=4, to_host_id=id_of(3), to_boot_incarnation=5),
-    CommitQueueMove(queue_id=id_of(2), epoch=4, to_host_id=id_of(3), to_boot_incarnation=5),
+    CommitMove(channel_id=id_of(2), epoch=4, to_host_id=id_of(3), to_boot_incarnation=5, to_registered_index=6),
+    CommitQueueMove(queue_id=id_of(2), epoch=4, to_host_id=id_of(3), to_boot_incarnation=5, to_registered_index=6),
     CommitMoves(
         to_host_id=id_of(3),
         to_boot_incarnation=5,

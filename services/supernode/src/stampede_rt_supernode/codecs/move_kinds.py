@@ -30,6 +30,7 @@ def _commit_message(operation: CommitMove) -> pb.CommitMoveCommand:
         epoch=operation.epoch,
         to_host_id=operation.to_host_id,
         to_boot_incarnation=operation.to_boot_incarnation,
+        to_registered_index=operation.to_registered_index,
         permit=operation.permit,
     )
 
@@ -40,6 +41,7 @@ def _read_commit(message: pb.CommitMoveCommand) -> CommitMove:
         epoch=message.epoch,
         to_host_id=message.to_host_id,
         to_boot_incarnation=message.to_boot_incarnation,
+        to_registered_index=message.to_registered_index,
         permit=message.permit,
     )
 
@@ -68,6 +70,7 @@ def _commits_message(operation: CommitMoves) -> pb.CommitMovesCommand:
     return pb.CommitMovesCommand(
         to_host_id=operation.to_host_id,
         to_boot_incarnation=operation.to_boot_incarnation,
+        to_registered_index=operation.to_registered_index,
         moves=moves_to(operation.moves),
     )
 
@@ -76,6 +79,7 @@ def _read_commits(message: pb.CommitMovesCommand) -> CommitMoves:
     return CommitMoves(
         to_host_id=message.to_host_id,
         to_boot_incarnation=message.to_boot_incarnation,
+        to_registered_index=message.to_registered_index,
         moves=moves_from(message.moves),
     )
 
@@ -86,6 +90,7 @@ def _queue_message(operation: CommitQueueMove) -> pb.CommitQueueMoveCommand:
         epoch=operation.epoch,
         to_host_id=operation.to_host_id,
         to_boot_incarnation=operation.to_boot_incarnation,
+        to_registered_index=operation.to_registered_index,
         permit=operation.permit,
     )
 
@@ -96,6 +101,7 @@ def _read_queue(message: pb.CommitQueueMoveCommand) -> CommitQueueMove:
         epoch=message.epoch,
         to_host_id=message.to_host_id,
         to_boot_incarnation=message.to_boot_incarnation,
+        to_registered_index=message.to_registered_index,
         permit=message.permit,
     )
 

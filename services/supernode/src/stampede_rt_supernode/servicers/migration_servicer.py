@@ -44,6 +44,7 @@ class MigrationDirectoryServicer(migration_directory_service_pb2_grpc.MigrationD
             epoch=request.epoch,
             to_host_id=request.to_host_id,
             to_boot_incarnation=request.to_boot_incarnation,
+            to_registered_index=request.to_registered_index,
             permit=request.permit,
         )
         committed = await self._calls.submit(context, operation, MoveCommitted, request.request_id)
@@ -57,6 +58,7 @@ class MigrationDirectoryServicer(migration_directory_service_pb2_grpc.MigrationD
         operation = CommitMoves(
             to_host_id=request.to_host_id,
             to_boot_incarnation=request.to_boot_incarnation,
+            to_registered_index=request.to_registered_index,
             moves=moves_from(request.moves),
         )
         committed = await self._calls.submit(context, operation, MovesCommitted, request.request_id)
@@ -97,6 +99,7 @@ class MigrationDirectoryServicer(migration_directory_service_pb2_grpc.MigrationD
             epoch=request.epoch,
             to_host_id=request.to_host_id,
             to_boot_incarnation=request.to_boot_incarnation,
+            to_registered_index=request.to_registered_index,
             permit=request.permit,
         )
         committed = await self._calls.submit(context, operation, QueueMoveCommitted, request.request_id)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from stampede_rt_supernode.core.commands import RefusedOperation
@@ -48,7 +50,7 @@ def copies(log: Log) -> tuple[ReplicaRecord, ...]:
     return log.directory.tables.replicas.of(cam(log).channel_id)
 
 
-def reason(done: ChannelRecord | RefusedOperation) -> str:
+def reason(done: object) -> str:
     assert isinstance(done, RefusedOperation)
     return done.reason
 
@@ -149,3 +151,19 @@ def test_the_groups_of_a_moved_channel_keep_their_incarnation_also_if_it_goes_ba
     after = log.directory.tables.groups.named("both")
     assert after is not None
     assert after.incarnation == before.incarnation
+
+
+def test_a_commit_from_before_the_present_registration_of_its_host_does_not_count(log: Log) -> None:
+    """The host may have dropped its copy, because the directory has refused a later attempt."""
+    first = log.directory.tables.hosts[id_of(2)].registered_index
+    commit = CommitMove(
+        channel_id=cam(log).channel_id, epoch=1, to_host_id=id_of(2), to_boot_incarnation=1, to_registered_index=first
+    )
+    log.apply(expire(2, registered_index=first))
+    assert reason(log.apply(commit)) == "HOST_NOT_FOUND"
+    log.apply(register(2))
+    assert reason(log.apply(commit)) == "LEASE_EXPIRED"
+    second = log.directory.tables.hosts[id_of(2)].registered_index
+    assert isinstance(log.apply(replace(commit, to_registered_index=second)), MoveCommitted)
+    log.apply(register(2))
+    assert isinstance(log.apply(commit), MoveCommitted), "a repeated commit changes nothing"

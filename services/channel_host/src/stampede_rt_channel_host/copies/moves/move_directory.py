@@ -65,6 +65,10 @@ class MoveDirectory(GatheredMoves):
         self._queries = DirectoryQueries(supernodes)
         self._queues = QueueDirectory(supernodes)
         self._identity = identity
+        self.registered_index = 0
+        """The log position of this host's registration, as of the last answer to one. A commit names it, so that no
+        earlier commit counts after a failed move.
+        """
 
     async def resolve(self, channel_id: bytes) -> RecordedChannel:
         """The channel's present record. Raises ChannelNotFound."""
@@ -138,6 +142,7 @@ class MoveDirectory(GatheredMoves):
             epoch=move.epoch,
             to_host_id=self._identity.host_id,
             to_boot_incarnation=self._identity.boot_incarnation,
+            to_registered_index=self.registered_index if move.permit else 0,
             permit=move.permit,
         )
         return recorded_channel((await self._call("CommitMove", request)).channel)
@@ -148,6 +153,7 @@ class MoveDirectory(GatheredMoves):
             request_id=secrets.token_bytes(16),
             to_host_id=self._identity.host_id,
             to_boot_incarnation=self._identity.boot_incarnation,
+            to_registered_index=self.registered_index,
             moves=[
                 move_pb2.MoveToCommit(channel_id=one.channel_id, epoch=one.epoch, permit=one.permit) for one in moves
             ],
@@ -183,6 +189,7 @@ class MoveDirectory(GatheredMoves):
             epoch=epoch,
             to_host_id=self._identity.host_id,
             to_boot_incarnation=self._identity.boot_incarnation,
+            to_registered_index=self.registered_index if permit else 0,
             permit=permit,
         )
         return recorded_queue((await self._call("CommitQueueMove", request)).queue)

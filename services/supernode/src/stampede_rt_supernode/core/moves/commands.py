@@ -12,15 +12,17 @@ from stampede_rt_supernode.core.records import ChannelRecord, QueueRecord
 class CommitMove(Operation):
     """Make a host the owner of a channel, which keeps its incarnation. `epoch`: the epoch that the move began with.
 
-    `permit`: the owner's permit for that host, see `move_permits`; only the owner itself needs none. The owner writes
-    this command with its own id as `to_host_id` to abort a move to another host: the epoch rises, so the directory
-    refuses the commit of that host.
+    `to_registered_index`: the log position of that host's registration, as the host knows it; 0: the directory does not
+    compare it. `permit`: the owner's permit for that host, see `move_permits`; only the owner itself needs none. The
+    owner writes this command with its own id as `to_host_id` to abort a move to another host: the epoch rises, so the
+    directory refuses the commit of that host.
     """
 
     channel_id: bytes
     epoch: int
     to_host_id: bytes
     to_boot_incarnation: int
+    to_registered_index: int = 0
     permit: bytes = b""
 
 
@@ -46,6 +48,7 @@ class CommitMoves(Operation):
 
     to_host_id: bytes
     to_boot_incarnation: int
+    to_registered_index: int = 0
     moves: tuple[MoveToCommit, ...]
 
 
@@ -87,6 +90,7 @@ class CommitQueueMove(Operation):
     epoch: int
     to_host_id: bytes
     to_boot_incarnation: int
+    to_registered_index: int = 0
     permit: bytes = b""
 
 

@@ -66,6 +66,7 @@ def _alone(operation: CommitMoves, move: MoveToCommit) -> CommitMove:
         epoch=move.epoch,
         to_host_id=operation.to_host_id,
         to_boot_incarnation=operation.to_boot_incarnation,
+        to_registered_index=operation.to_registered_index,
         permit=move.permit,
     )
 

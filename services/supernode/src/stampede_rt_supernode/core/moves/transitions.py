@@ -43,6 +43,7 @@ def commit_move(tables: Tables, operation: CommitMove) -> MoveCommitted:
     if (channel.host_id, channel.epoch) == (host.host_id, operation.epoch + 1):
         return MoveCommitted(channel=channel)
     check_epoch(channel, operation.epoch)
+    _check_registration(host, f"channel {channel.name}", operation)
     _check_permit(tables.hosts[channel.host_id], host, f"channel {channel.name}", channel.channel_id, operation)
     moved = replace(channel, host_id=host.host_id, epoch=channel.epoch + 1)
     store(tables, moved, (*copies_after_owner_change(tables, channel, moved), *_former_owner(tables, channel, moved)))
@@ -65,6 +66,7 @@ def commit_queue_move(tables: Tables, operation: CommitQueueMove) -> QueueMoveCo
     if (queue.host_id, queue.epoch) == (host.host_id, operation.epoch + 1):
         return QueueMoveCommitted(queue=queue)
     check_queue_epoch(queue, operation.epoch)
+    _check_registration(host, f"queue {_name_of(queue)}", operation)
     _check_permit(tables.hosts[queue.host_id], host, f"queue {_name_of(queue)}", queue.queue_id, operation)
     moved = replace(queue, host_id=host.host_id, epoch=queue.epoch + 1)
     former = [one for one in _former_owner(tables, queue, moved) if one.kind is ReplicaKind.WARM]
@@ -105,6 +107,20 @@ def _destination(tables: Tables, subject: str, operation: CommitMove | CommitQue
             metadata={"subject": subject, "host": host.name},
         )
     return host
+
+
+def _check_registration(host: HostRecord, subject: str, operation: CommitMove | CommitQueueMove) -> None:
+    """Raises LeaseExpired if the host has registered again since it sent the command.
+
+    An earlier attempt to commit may arrive after the directory has refused a later one, because the host had no lease.
+    The host has dropped its copy then.
+    """
+    if operation.to_registered_index not in (0, host.registered_index):
+        raise LeaseExpired(
+            f"host {host.name} has registered again since it sent the commit of the move of {subject}, and may have "
+            "lost its copy; move it again",
+            metadata={"subject": subject, "host": host.name},
+        )
 
 
 def _former_owner(tables: Tables, before: Copied, after: Copied) -> tuple[ReplicaRecord, ...]:
