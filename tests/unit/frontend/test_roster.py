@@ -54,9 +54,9 @@ def test_a_seed_that_is_no_longer_a_member_is_listed_to_no_caller_but_still_prob
     roster = SupernodeRoster(("s1:1", "s2:1"))
     roster.answered("s1:1", answer("s1"))
     roster.answered("s2:1", answer("s2"))
-    roster.listed(members("s1", "s2"))
+    roster.update_members(members("s1", "s2"))
     roster.failed("s1:1", "gone")
-    roster.listed(members("s2", "s3", index=2))
+    roster.update_members(members("s2", "s3", index=2))
     assert sorted(known(roster)) == ["s2", "s3"]
     assert "s1:1" in roster.targets()
 
@@ -79,7 +79,7 @@ def test_a_supernode_without_a_leader_answers_but_is_not_healthy() -> None:
 def test_members_are_learned_from_the_directory_and_probed_from_then_on() -> None:
     roster = SupernodeRoster(("s1:1",))
     roster.answered("s1:1", answer("s1"))
-    roster.listed(members("s1", "s2", leader="s2", zone="z"))
+    roster.update_members(members("s1", "s2", leader="s2", zone="z"))
     assert roster.targets() == ("s1:1", "s2:1")
     assert known(roster)["s2"].is_leader
     assert known(roster)["s2"].zone == "z"
@@ -91,37 +91,37 @@ def test_each_supernode_tells_its_own_zone_also_in_an_older_list() -> None:
     roster = SupernodeRoster(("s1:1",))
     members_by_s1 = (Supernode(supernode_id="s1", target="s1:1", zone="a"), Supernode(supernode_id="s2", target="s2:1"))
     members_by_s2 = (Supernode(supernode_id="s1", target="s1:1"), Supernode(supernode_id="s2", target="s2:1", zone="b"))
-    roster.listed(MemberList(term=1, applied_index=8, members=members_by_s1))
-    roster.listed(MemberList(term=1, applied_index=7, members=members_by_s2))
-    roster.listed(MemberList(term=1, applied_index=9, members=members_by_s1))
+    roster.update_members(MemberList(term=1, applied_index=8, members=members_by_s1))
+    roster.update_members(MemberList(term=1, applied_index=7, members=members_by_s2))
+    roster.update_members(MemberList(term=1, applied_index=9, members=members_by_s1))
     assert {name: node.zone for name, node in known(roster).items()} == {"s1": "a", "s2": "b"}
 
 
 def test_a_member_that_left_is_forgotten_but_a_seed_is_still_probed() -> None:
     roster = SupernodeRoster(("s1:1",))
-    roster.listed(members("s1", "s2", index=1))
-    roster.listed(members("s3", index=2))
+    roster.update_members(members("s1", "s2", index=1))
+    roster.update_members(members("s3", index=2))
     assert roster.targets() == ("s1:1", "s3:1")
 
 
 def test_an_older_member_list_is_ignored() -> None:
     roster = SupernodeRoster(("s1:1",))
-    roster.listed(members("s1", "s2", term=2, index=9))
-    roster.listed(members("s1", "s9", term=1, index=99))
-    roster.listed(members("s1", "s9", term=2, index=8))
+    roster.update_members(members("s1", "s2", term=2, index=9))
+    roster.update_members(members("s1", "s9", term=1, index=99))
+    roster.update_members(members("s1", "s9", term=2, index=8))
     assert roster.targets() == ("s1:1", "s2:1")
 
 
 def test_an_empty_member_list_is_ignored() -> None:
     roster = SupernodeRoster(("s1:1",))
-    roster.listed(members("s1", "s2"))
-    roster.listed(members(index=5))
+    roster.update_members(members("s1", "s2"))
+    roster.update_members(members(index=5))
     assert roster.targets() == ("s1:1", "s2:1")
 
 
 def test_a_member_list_has_a_bound_and_the_seeds_stay_within_it() -> None:
     roster = SupernodeRoster(("seed:1",))
-    roster.listed(members(*(f"s{number}" for number in range(2 * SUPERNODES_MAX))))
+    roster.update_members(members(*(f"s{number}" for number in range(2 * SUPERNODES_MAX))))
     assert len(roster.targets()) == SUPERNODES_MAX
     assert roster.targets()[0] == "seed:1"
 
@@ -148,7 +148,7 @@ def test_a_probe_of_a_removed_member_changes_nothing() -> None:
 def test_a_supernode_with_two_addresses_is_listed_once_with_the_listed_address() -> None:
     roster = SupernodeRoster(("alias:1",))
     roster.answered("alias:1", answer("s1"))
-    roster.listed(members("s1"))
+    roster.update_members(members("s1"))
     roster.answered("s1:1", answer("s1"))
     assert [one.target for one in roster.known()] == ["s1:1"]
 
@@ -156,7 +156,7 @@ def test_a_supernode_with_two_addresses_is_listed_once_with_the_listed_address()
 def test_an_address_that_answers_comes_before_a_listed_one_that_does_not() -> None:
     roster = SupernodeRoster(("alias:1",))
     roster.answered("alias:1", answer("s1"))
-    roster.listed(members("s1"))
+    roster.update_members(members("s1"))
     roster.failed("s1:1", "not reachable from here")
     assert [one.target for one in roster.known()] == ["alias:1"]
 
@@ -192,11 +192,11 @@ def test_a_successor_cluster_is_accepted_when_the_own_cluster_is_gone() -> None:
 def test_a_front_end_takes_up_a_cluster_founded_anew_at_the_addresses_of_a_cluster_in_memory() -> None:
     roster = SupernodeRoster(("s1:1",))
     roster.answered("s1:1", answer("s1", cluster="memory-1"))
-    roster.listed(members("s1", "s2", term=7, index=70))
+    roster.update_members(members("s1", "s2", term=7, index=70))
     roster.failed("s1:1", "refused")
     assert not roster.answered("s1:1", answer("n1", cluster="c2")), "a restored copy: the other members may live"
     assert roster.answered("s1:1", answer("n1", cluster="memory-2"))
-    roster.listed(members("n1", term=1, index=1))
+    roster.update_members(members("n1", term=1, index=1))
     assert roster.cluster_id == "memory-2"
     assert list(known(roster)) == ["n1"]
 
@@ -211,7 +211,7 @@ EVENTS = st.one_of(
     ),
     st.builds(lambda target: ("failed", target, "refused"), st.sampled_from(["s1:1", "s2:1", "s3:1"])),
     st.builds(
-        lambda names, term: ("listed", members(*names, term=term)),
+        lambda names, term: ("update_members", members(*names, term=term)),
         st.sets(st.sampled_from(["s1", "s2", "s3", "s4"])),
         st.integers(0, 3),
     ),
@@ -226,7 +226,7 @@ def test_seeds_stay_probed_ids_are_listed_once_and_health_follows_the_last_probe
     last_probe: dict[str, bool] = {}
     for kind, *arguments in events:
         accepted = getattr(roster, kind)(*arguments)
-        if kind != "listed":
+        if kind != "update_members":
             target, what = arguments
             last_probe[target] = kind == "answered" and accepted and what.ready
         last_probe = {target: last_probe.get(target, False) for target in roster.targets()}

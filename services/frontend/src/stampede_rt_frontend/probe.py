@@ -136,7 +136,7 @@ class Prober:
                     extra={"event": "other_cluster_supernode", "target": target, "cluster_id": answer.cluster_id},
                 )
             if answer.ready and accepted:
-                self._roster.listed(await _list(stub))
+                self._roster.update_members(await _list(stub))
                 await self._access.take_version(answer.cluster_id, answer.access_version, channel)
                 self._match_tasks()
         except grpc.aio.AioRpcError as error:

@@ -35,8 +35,8 @@ class ProbeAnswer:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MemberList:
-    """The members of the cluster, as one supernode lists them. Of two lists, the list with the higher (term, applied
-    index) is newer.
+    """The members of the cluster, as one supernode lists them. The list with the highest (term, applied index) is the
+    newest.
     """
 
     term: int
@@ -97,8 +97,8 @@ class SupernodeRoster:
         if target in self._nodes:
             self._fail(self._nodes[target], why)
 
-    def listed(self, members: MemberList) -> None:
-        """Process a member list, unless a later list is known. Keeps the seeds, and drops other unlisted targets."""
+    def update_members(self, members: MemberList) -> None:
+        """Replace the known members by those of a list, unless this front-end knows a newer list. The seeds stay."""
         self._note_zones(members)
         position = (members.term, members.applied_index)
         if position < self._position or not members.members:
@@ -111,9 +111,9 @@ class SupernodeRoster:
         self.clocks = {target: clock for target, clock in self.clocks.items() if target in self._nodes}
 
     def _note_zones(self, members: MemberList) -> None:
-        """Take over the zones in a member list, even in an old one.
+        """Note the zones in a member list, even if the list is old.
 
-        A supernode's list has only the zone of that supernode, which is always right.
+        Each supernode lists only its own zone, so an old list has no wrong zone.
         """
         for one in members.members:
             if one.zone and one.target in self._nodes:

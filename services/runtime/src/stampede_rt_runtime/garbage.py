@@ -2,9 +2,9 @@
 
 An item or record is freed with its last reference. Only objects in a reference cycle need the collector. Python starts
 the collector when there are many more objects than at its last run. A full channel drops an old item for each new one,
-so the number of objects hardly grows, and Python starts the collector rarely. By then all held items are newer than the
-last run, and the collector would scan all of them in one go. Therefore the event loop starts the collector, too,
-and does so more often when more objects are created (decision 0122).
+so the number of objects hardly grows, and Python starts the collector rarely. Between two runs the channel replaces all
+its items. The collector has then not seen any of them, and scans all of them in one go. Therefore the event loop starts
+the collector, too. It does so more often when the program creates more objects (decision 0122).
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ class CollectionPace:
     def next_generation(self, now_s: float) -> int:
         """The generation to collect next; 2 means all objects.
 
-        It chooses all objects seldom, and only if a quarter of them may be new since the last collection of all
-        objects.
+        A collection of all objects is rare, and needs many new objects: they must have taken more than a quarter of the
+        time of the last collection of all objects.
         """
         if now_s - self._full_at_s >= FULL_INTERVAL_SECONDS and self._moved_s > self._full_s / 4:
             return 2

@@ -2,8 +2,9 @@
 
 gRPC reports all completed operations of a turn of the event loop together. With 1000 subscriptions, 200 of them
 completed a write in one turn, and each then looked for its next message. The turn took 10 ms and more, and the service
-did nothing else meanwhile (decision 0123). A caller whose 3000 streams have all received a message delays the streams
-of other callers by one turn only (decision 0139).
+did nothing else meanwhile. Therefore a gate admits only a few streams to each turn (decision 0123). The streams of each
+caller wait in a line of their own. So a caller with 3000 streams delays the streams of other callers by one turn only
+(decision 0139).
 """
 
 from __future__ import annotations
@@ -39,15 +40,18 @@ class TurnGate:
     """
 
     def __init__(self) -> None:
-        self._left = STREAMS_PER_TURN
+        self._admissions_left = STREAMS_PER_TURN
         self._lines: OrderedDict[Account, deque[asyncio.Future[None]]] = OrderedDict()
         self._is_counting = False
 
     def try_admit(self, caller: Account) -> bool:
-        """Admit a stream of the caller to this turn. Returns False if it is full: then the stream awaits `turn`."""
-        if not self._left or caller in self._lines:
+        """Admit a stream of the caller to this turn, if the turn has room and no stream of the caller waits.
+
+        If this returns False, the stream must await `turn`.
+        """
+        if not self._admissions_left or caller in self._lines:
             return False
-        self._left -= 1
+        self._admissions_left -= 1
         if not self._is_counting:
             self._is_counting = True
             asyncio.get_running_loop().call_soon(self._begin_turn)
@@ -55,21 +59,21 @@ class TurnGate:
 
     async def turn(self, caller: Account) -> None:
         """Wait for the turn of the event loop in which the stream may run."""
-        place = asyncio.get_running_loop().create_future()
-        self._lines.setdefault(caller, deque()).append(place)
-        await place
+        admission = asyncio.get_running_loop().create_future()
+        self._lines.setdefault(caller, deque()).append(admission)
+        await admission
 
     def _begin_turn(self) -> None:
-        self._left = STREAMS_PER_TURN
-        while self._lines and self._left:
+        self._admissions_left = STREAMS_PER_TURN
+        while self._lines and self._admissions_left:
             caller, line = self._lines.popitem(last=False)
-            place = line.popleft()
+            admission = line.popleft()
             if line:
                 self._lines[caller] = line  # after the other callers
-            if not place.done():  # if it is done, its stream has ended
-                place.set_result(None)
-                self._left -= 1
-        self._is_counting = bool(self._lines) or self._left < STREAMS_PER_TURN
+            if not admission.done():  # otherwise the stream has ended
+                admission.set_result(None)
+                self._admissions_left -= 1
+        self._is_counting = bool(self._lines) or self._admissions_left < STREAMS_PER_TURN
         if self._is_counting:
             asyncio.get_running_loop().call_soon(self._begin_turn)
 
@@ -77,21 +81,22 @@ class TurnGate:
 class SameTurnBudget:
     """Limits the time for which messages are answered in the turn of the event loop in which they come.
 
-    Beyond SAME_TURN_NANOS in one turn, messages go to their streams. The gates let a few streams run in each turn. Each
-    pause between two answers reduces the used time by its length. So a loop with little to do uses up no budget.
+    When the answers of one turn have used SAME_TURN_NANOS, further messages go to their streams. The gates let only a
+    few streams run in each turn. Each pause between two answers reduces the used time by the length of the pause. So a
+    loop with little to do keeps its whole budget.
     """
 
     def __init__(self, now: Callable[[], int] = time.monotonic_ns) -> None:
         self._now = now
         self._used_nanos = self._ended_at = 0
-        self._begins_anew = False
+        self._reset_is_scheduled = False
 
     def is_left(self) -> bool:
-        """Whether the next message may be answered now. If not, the next turn of the loop has the whole budget."""
+        """Whether the next message may be answered now. If not, schedule a reset of the budget in the next turn."""
         if self._used_nanos - (self._now() - self._ended_at) < SAME_TURN_NANOS:
             return True
-        if not self._begins_anew:
-            self._begins_anew = True
+        if not self._reset_is_scheduled:
+            self._reset_is_scheduled = True
             asyncio.get_running_loop().call_soon(self._begin_turn)
         return False
 
@@ -102,7 +107,7 @@ class SameTurnBudget:
         self._ended_at = now
 
     def _begin_turn(self) -> None:
-        self._used_nanos, self._begins_anew = 0, False
+        self._used_nanos, self._reset_is_scheduled = 0, False
 
 
 class PacedContext:

@@ -260,7 +260,7 @@ async def test_the_calls_of_an_expired_token_end_a_few_at_a_time() -> None:
     control.set_state(state(1))
     async with open_calls(control, 100, 0, ends_unix_nano=2):
         now, calls = 2, tuple(control._open)
-        control._end_what_is_over()
+        control._end_expired_calls()
         left = [sum(call.error is None for call in calls)]
         for _ in range(20):
             await asyncio.sleep(0)
@@ -274,7 +274,7 @@ async def test_each_turn_checks_the_credentials_of_a_few_open_calls_and_the_roun
     control, turns = AccessControl(time_unix_nano=lambda: 2), 1
     control.set_state(state(1))
     async with open_calls(control, 4 * CALLS_LOOKED_AT_PER_TURN - 1, 0, ends_unix_nano=5):
-        control._end_what_is_over()
+        control._end_expired_calls()
         while not isinstance(control._sweep, asyncio.TimerHandle):  # the timer begins the next look
             await asyncio.sleep(0)
             turns += 1

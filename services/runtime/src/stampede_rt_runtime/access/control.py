@@ -42,8 +42,8 @@ SWEEP_SECONDS = 1.0
 class AccessControl:
     """Judges the callers of one port, on the event loop that serves the port.
 
-    The state comes from `source`, or else from `set_state`. As long as there is no state, the port refuses all callers
-    whom rules judge.
+    The state has the rules, the keys of tokens and the quotas. It comes from `source`, or else from `set_state`. As
+    long as there is no state, the port refuses all callers whom rules judge.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class AccessControl:
         self.accounts = Accounts(clock_s=time.monotonic, loop_shares=loop_shares())
 
     def draw_from(self, source: Callable[[], AccessState]) -> None:
-        """From now on get the state from `source`."""
+        """Set the function that returns the present state. `refresh` calls it."""
         self._source = source
 
     def set_state(self, state: AccessState) -> None:
@@ -212,20 +212,21 @@ class AccessControl:
 
     def _sweep_soon(self) -> None:
         if self._sweep is None:
-            self._sweep = asyncio.get_running_loop().call_later(SWEEP_SECONDS, self._end_what_is_over)
+            self._sweep = asyncio.get_running_loop().call_later(SWEEP_SECONDS, self._end_expired_calls)
 
-    def _end_what_is_over(self, left: Iterator[OpenCall] | None = None) -> None:
-        """End the calls whose credential has ended. Look at some calls now, and at the others in the next turns.
+    def _end_expired_calls(self, remaining: Iterator[OpenCall] | None = None) -> None:
+        """End the calls whose credential has expired. Look at some calls now, and at the others in the next turns.
 
-        While calls are open, set the timer again: one timer serves all calls.
+        `remaining`: the calls that earlier turns have not looked at; None: all open calls. After the last call, set the
+        timer for the next sweep if any call is open.
         """
-        left, now, ended = left or iter(tuple(self._open)), self._time_unix_nano(), 0
-        for looked_at, call in enumerate(left, start=1):
+        remaining, now, ended = remaining or iter(tuple(self._open)), self._time_unix_nano(), 0
+        for looked_at, call in enumerate(remaining, start=1):
             if 0 < call.ends_unix_nano <= now and call.error is None and call in self._open:
                 call.end(over(call.caller.ended_by(now) or call.caller))
                 ended += 1
             if looked_at == CALLS_LOOKED_AT_PER_TURN or ended == CALLS_ENDED_PER_TURN:
-                self._sweep = asyncio.get_running_loop().call_soon(self._end_what_is_over, left)
+                self._sweep = asyncio.get_running_loop().call_soon(self._end_expired_calls, remaining)
                 return
         self._sweep = None
         if self._open:
@@ -254,7 +255,7 @@ def current_work() -> CallerWork:
 
 
 def creation_limit(quota: Quota) -> int | None:
-    """The most things that the present call's caller may have created; None: there is no limit."""
+    """The most channels, queues, groups or peers that the present call's caller may have created; None: no limit."""
     call = _CURRENT.get()
     return None if call is None else call.creation_limit(quota)
 

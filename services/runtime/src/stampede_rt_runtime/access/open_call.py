@@ -1,4 +1,4 @@
-"""One call under way, and the rights that it and its requests have used."""
+"""One call under way, and the rights that the call and its requests have used."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class CallControl(Protocol):
 
 
 class OpenCall:
-    """One call under way, and the rights that it has used."""
+    """One call under way, and the rights that the call has used."""
 
     def __init__(
         self, control: CallControl, caller: Caller, peer: str, account: Account, costs: TransportCosts
@@ -145,21 +145,21 @@ class OpenCall:
         self._control.accounts.count_refusal(error)
 
     def creation_limit(self, quota: Quota) -> int | None:
-        """The most things that the caller may have created; None: there is no limit."""
+        """See `control.creation_limit`."""
         name = creator_of(self.caller)
         limit = LIMIT_MAX if name is None else self._control.accounts.of(name).limit(quota)
         return None if limit >= LIMIT_MAX else limit
 
 
 class RequestRights:
-    """The rights that the requests of one stream use. A stream may serve many things, so each request ends by itself.
+    """The rights that the requests of one stream use. If the caller loses a right, only the requests that need it end.
 
-    `lose` ends one request that waits, because its caller has lost a right. All methods may be called in the context of
-    another call.
+    The stream continues, because it may serve things that the caller may still use. `lose(request, error)` ends one
+    waiting request. All methods may be called in the context of another call.
     """
 
     def __init__(self, call: OpenCall | None, lose: Callable[[Any, PermissionDenied], None]) -> None:
-        """`call` None: there is none, as in tests of single methods, and everything is allowed."""
+        """`call` None: everything is allowed, as in tests of single methods."""
         self._call = call
         self._lose = lose
         self._waiting: dict[Grant, dict[Hashable, None]] = {}
@@ -189,8 +189,10 @@ class RequestRights:
                     del self._waiting[grant]
 
     def close(self) -> None:
-        """End no requests from now on, because the stream has ended. `lose` usually refers to the stream, and the
-        stream to this object.
+        """Drop `lose`, at the end of the stream.
+
+        `lose` usually refers to the stream, and the stream to this object. Only Python's collector would free such a
+        cycle.
         """
         self._lose = lambda *_: None
 

@@ -183,7 +183,7 @@ class Account:
 
 
 class QuotaCharge:
-    """A part of a caller's use of one quota. `set` never refuses. Call `Account.check` before it."""
+    """A part of a caller's use of one quota. `set` never refuses, so call `Account.check` before `set`."""
 
     __slots__ = ("_account", "_amount", "_quota")
 
@@ -246,7 +246,7 @@ class Accounts:
             account.set_limits(table.limits_of(account.subject, self._defaults))
 
     def of(self, subject: str | None) -> Account:
-        """The account of a caller. `subjects.subject_of` gives its subject. None: the account without limits."""
+        """The account of the caller with this subject, see `subjects.subject_of`. None: the account without limits."""
         if not subject:
             return unlimited()
         account = self._accounts.get(subject)
@@ -271,14 +271,14 @@ class Accounts:
         self._refused_at_s = self._clock_s()
 
     def draw_from(self, directory: Callable[[], Iterable[tuple[str, Quota, int]]]) -> None:
-        """From now on `uses` also counts the things that callers have in the directory.
+        """Set the function from which `uses` gets the numbers of channels, queues, groups and peers of callers.
 
-        `directory` returns the callers, and how many of the things that IN_DIRECTORY limits they have.
+        `directory` returns triples of caller, quota and number, for the quotas of IN_DIRECTORY.
         """
         self._directory = directory
 
     def count_refusal(self, error: Overloaded) -> None:
-        """Count a refusal by another place, such as the directory. Ignores an error that names no quota."""
+        """Count a refusal by code outside this object, such as the directory. Ignores an error that names no quota."""
         quota, subject = _BY_NAME.get(error.metadata.get("quota", "")), error.metadata.get("subject", "")
         if quota is not None and subject:
             self.of(subject).count_refusal(quota)

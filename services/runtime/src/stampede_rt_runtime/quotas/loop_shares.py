@@ -1,9 +1,9 @@
 """Shares the time of one event loop among callers, so that one caller with much work does not delay the others. Pure.
 
 A step is the work for one message or one call, or one piece of a long task. While several callers have work, each
-caller may use its percentage of the loop's time. If a caller has used more, its next steps wait in a line: each caller
-has its own line, in the order in which the steps came. In each turn of the loop at most one step of each line runs. So
-if many steps became due while the loop was busy or had no processor, they do not all run in one turn. A caller that has
+caller may use its percentage of the loop's time. If a caller has used more, its next steps wait in a line. Each caller
+has its own line, in the order in which the steps came. In each turn of the loop at most one step of each line runs.
+Otherwise all steps that became due while the loop was busy or had no processor would run in one turn. A caller that has
 been the only one with work for CONTENDED_NANOS does not wait.
 """
 
@@ -88,7 +88,7 @@ class LoopShare:
         if self._line:
             return True
         if self._held_for(self._shares.latest) <= 0:
-            return False  # no wait was due at an earlier time, so no wait is due now; `now` is the slowest call here
+            return False  # waits only get shorter, so an earlier time suffices, and saves the slow call of `now`
         return self._held_for(self._shares.now()) > 0
 
     def enqueue(self, wake: Callable[[], None]) -> None:

@@ -57,8 +57,9 @@ def usable_time(
 ) -> Callable[[], int]:
     """A clock, in nanoseconds, of the time that the calling thread can use.
 
-    It stops while the thread waits for a processor because other programs run. So a share of this time is a share of
-    the time that the thread gets. `waited_nanos`: how long the thread has waited so far; None: ask the system.
+    The clock stops while the thread waits for a processor because other programs run. So a caller's percentage applies
+    to the time that the thread really gets. `waited_nanos`: returns how long the thread has waited so far; None: the
+    clock asks the system.
     """
     ask = waited_nanos or _waited_nanos
     now = waited = ask_again_at = 0
@@ -164,7 +165,7 @@ def charged(account: Account, work: Coroutine[Any, Any, Result]) -> Coroutine[An
 class _ChargedCoroutine(Coroutine[Any, Any, Result]):
     """Runs a coroutine, and measures the processor time of each step. The measurement takes about a microsecond.
 
-    Elapsed time would also include the work of other threads, so a caller that used little would be delayed.
+    Elapsed time would include the work of other threads, and would charge it to the caller.
 
     This is no `async def` function, so that a cancellation before the first step of the task also reaches `work`.
     """
