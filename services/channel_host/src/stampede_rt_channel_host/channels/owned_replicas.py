@@ -25,8 +25,8 @@ class OwnersFeed(Protocol):
         """Note that the channel or queue has changed."""
 
     def take_back(self) -> None:
-        """Note that a defect has kept the owner from storing something that it has sent ahead. If this feed has sent
-        it, the feed ends.
+        """Note that a defect has kept the owner from storing an item or step that it sent ahead. If this feed has sent
+        that item or step, the feed ends.
         """
 
 
@@ -47,7 +47,7 @@ class OwnedReplicas(ABC, Generic[Feed]):
     """The replicas of one channel or queue. A "place" is a seq of a channel, or the number of a step of a queue."""
 
     not_replicated = 0
-    """The items or messages of puts that ended with NOT_REPLICATED."""
+    """The number of items or messages whose puts ended with NOT_REPLICATED."""
 
     def __init__(self, in_sync: ReplicasInSync, epoch: int, steady_nanos: Callable[[], int]) -> None:
         """`epoch`: the epoch of the channel or queue."""
@@ -59,7 +59,7 @@ class OwnedReplicas(ABC, Generic[Feed]):
         self._steady_nanos = steady_nanos
         self._feeds: dict[bytes, Feed] = {}
         self._changed = asyncio.Event()
-        self._wait_count = 0  # the calls of `wait_until`
+        self._wait_count = 0  # the number of calls of `wait_until` that wait now
         self._watchers: dict[Callable[[bool], None], None] = {}
         self.diverged_host_ids: set[bytes] = set()
         """The hosts of the replicas that may hold an item or step that this owner lacks. They must begin anew."""
@@ -131,7 +131,7 @@ class OwnedReplicas(ABC, Generic[Feed]):
             self.release_replicated()
 
     def take_back(self) -> None:
-        """End the feeds that have sent something ahead, because a defect has kept the owner from storing it."""
+        """End the feeds that sent an item or step ahead that the owner, because of a defect, has not stored."""
         for feed in [*self._feeds.values()]:
             feed.take_back()
 
@@ -186,7 +186,7 @@ class OwnedReplicas(ABC, Generic[Feed]):
     def watch(self, look: Callable[[bool], None]) -> None:
         """Until `unwatch`, call `look` after each change for which answers may wait. `look` must not wait.
 
-        Its argument says whether it may write a message in this turn of the event loop.
+        The argument of `look` says whether it may write a message in this turn of the event loop.
         """
         self._watchers[look] = None
 
@@ -195,7 +195,7 @@ class OwnedReplicas(ABC, Generic[Feed]):
         self._watchers.pop(look, None)
 
     def wake_waits(self) -> None:
-        """Let all waits look at their conditions."""
+        """Let all calls of `wait_until` and all watchers test their conditions."""
         if self._wait_count:
             changed, self._changed = self._changed, asyncio.Event()
             changed.set()

@@ -1,4 +1,4 @@
-"""The recording of one hosted channel: accepted items go to the archive, and reads find them there."""
+"""Records one hosted channel: passes accepted items to the archive, and reads the archive and memory together."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ ENTRIES_PER_LOOK = 1024
 
 
 class Recording:
-    """Records one channel from its start at this host. `on_archived` is called after each write that succeeds."""
+    """Records one channel from its start at this host. Calls `on_archived` after each write that succeeds."""
 
     def __init__(
         self,
@@ -66,7 +66,7 @@ class Recording:
         """`from_memory`: also write the items that the channel holds already, if the archive lacks them."""
         self.is_stopped = False
         self.is_settled: Callable[[], bool] = lambda: True
-        """Whether readers see all items that the channel has accepted: no further items will come to the archive."""
+        """Whether readers see all items that the channel has accepted, so that no more can come to the archive."""
         self._archive = archive
         self._channel = channel
         self._on_archived = on_archived
@@ -82,12 +82,10 @@ class Recording:
         )
         self._reach = ArchiveReach(self.recorder, channel)
         held = channel.held
-        earlier = [
-            held.newest_collected,
-            *([] if from_memory else [held.newest]),
-        ]  # the archive will not have these items
+        # the times of the latest items that the archive will not have
+        earlier = [held.newest_collected, *([] if from_memory else [held.newest])]
         opened.files.earlier = max([opened.files.earlier, *((one, 1) for one in earlier if one is not None)])
-        if from_memory and is_start(channel.next_seq):  # the former owner had no item with which to note its loss
+        if from_memory and is_start(channel.next_seq):  # the former owner accepted no item, and so wrote no loss
             found_to = max((one.end_seq for one in opened.found.segments), default=1)
         notes_loss = not from_memory or found_to is not None
         if notes_loss and lacks_loss(channel.lost_before, opened.found):
@@ -164,7 +162,7 @@ class Recording:
     async def read(
         self, query: Query, within: ResolvedInterval | None, scheduler: PieceScheduler, now: Callable[[], int]
     ) -> ArchivedRead:
-        """Read over the archive and memory. `within`: the interval as resolved before; None: not yet.
+        """Read the archive and memory together. `within`: the resolved interval; None: it is not resolved yet.
 
         Raises Unavailable if the archive cannot be read.
         """
@@ -184,7 +182,7 @@ class Recording:
             raise self._unknown.move_error()
 
     def check_start(self, start: Bound, now: int, horizon: Horizon | None = None) -> None:
-        """Check a reader that begins at `start`, like `check_known`."""
+        """Raise Unavailable if a reader that begins at `start` needs unknown items; see `check_known`."""
         self.check_known(Query(interval=Interval(start, start), match=Match.START), now, horizon)
 
     def reaches_in_group(self, query: Query, horizon: Horizon, now: int) -> bool:
@@ -268,9 +266,10 @@ class Recording:
     async def items_from(
         self, seqs: tuple[int, int], bytes_max: int, now: Callable[[], int]
     ) -> tuple[Iterable[Slice], Callable[[int], int | None], int]:
-        """The first items with these seqs that memory or the archive has. Returns the items, a function that gives the
-        time of the next bucket after a time, and the seq after the last item that was looked for. Raises Unavailable if
-        the archive cannot be read.
+        """The first items with these seqs that memory or the archive has.
+
+        Returns the items, a function that returns the time of the next bucket after a time, and a seq: the search has
+        covered all lower seqs. Raises Unavailable if the archive cannot be read.
         """
         held, _ = self._channel.look(now())
         end = held.held_up_to(*seqs, ENTRIES_PER_LOOK)
@@ -344,5 +343,5 @@ class Recording:
 
 
 async def _nothing_but(window: ArchiveWindow, _: WantedWindow) -> ArchiveWindow:
-    """The only window of an archive that has nothing yet."""
+    """Return `window`, for a read of an archive that has no items yet."""
     return window

@@ -1,4 +1,4 @@
-"""The archived items of a channel whose host has taken it over while the object store was unreachable."""
+"""Decides which reads a host can answer after it took a channel over while the object store was unreachable."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from stampede_rt_channel_host.core.group import Horizon
 class UnknownPast:
     """Says which reads have to wait until the host knows which items the store has.
 
-    The former owners accepted all their items before the instant of the take-over. The times of these items are
-    therefore less than `max_future` after that instant. The host has all items with later times. With `is_fresh` the
-    channel began here without items, at the first seq of its epoch. Otherwise the host had the channel before it was
-    recorded, and knows which items have left its memory.
+    The former owners accepted all their items before the host took the channel over. The times of these items are
+    therefore less than `max_future` after the take-over, and the host has all items with later times. With `is_fresh`
+    the channel began here without items, at the first seq of its epoch. Otherwise the host had the channel before the
+    channel was recorded, and knows which items have left its memory.
     """
 
     def __init__(self, channel: ChannelCore, epoch: int, found: OpenedArchive) -> None:
@@ -70,7 +70,7 @@ class UnknownPast:
         )
 
     def move_error(self) -> Unavailable:
-        """The error of a move. The memory of the new owner would say that no items have left it."""
+        """The error of a move. A new owner would not know that the store has earlier items, so this host refuses."""
         return Unavailable(
             f"the host has taken channel {self._channel.name} over while the object store of its archive was "
             "unreachable, so it does not know yet which earlier items the store has, and a new owner would not show "
@@ -95,7 +95,7 @@ class UnknownPast:
         if not self.is_fresh:
             return reaches(held, min(within.start, last))
         is_begun = oldest is not None and oldest <= min(within.start, last)
-        lasting = held.overlap_nanos if query.match is Match.SPAN else 0  # a former item may last for this time
+        lasting = held.overlap_nanos if query.match is Match.SPAN else 0  # an item of a former owner may last so long
         if within.start >= self._since + lasting and (is_begun or query.match is not Match.SPAN):
             return False
         return not self._has_latest(held, query, within, last)
@@ -135,6 +135,6 @@ class UnknownPast:
             return since, self._lost_before
         end_seq = max((one.end_seq for one in former), default=1)
         lost_from, lost_before = loss_after(stop, since, end_seq)
-        if lost_from is None and self._newest is not None:  # a stop of this host, which did not know the former items
+        if lost_from is None and self._newest is not None:  # this host stopped before it knew the former items
             lost_from = since
         return lost_from, lost_before

@@ -67,7 +67,7 @@ class HostedGroup:
         # loop time of the last answer of the directory, and of the last request that named the group
         self.looked_up_s = 0.0
         self.named_s = 0.0
-        self.is_stale = False  # the directory may have a newer version
+        self.is_stale = False  # the directory may have a newer version of the group
         self._now = now
         self._on_moved = on_moved
         self._on_idle = on_idle

@@ -1,4 +1,4 @@
-"""A group's member at another host. A subscription to matches follows the times and seqs of the member's items."""
+"""Follows the times and seqs of the items of a group's member at another host, for a subscription to matches."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ logger = logging.getLogger(__name__)
 PAUSE_SECONDS = 0.2
 UNANSWERED_SECONDS_MAX = 5.0  # how long matches wait for an idle member whose host does not answer
 AHEAD_ITEMS = TRACK_ITEMS_MAX // 4
-"""The member's host may send about this number of keys ahead. So an archive does not fill the track."""
+"""The member's host may send about this number of keys ahead, so that a large archive does not fill the track."""
 
 
 class RemoteMember:
@@ -45,7 +45,7 @@ class RemoteMember:
         self._since = since
         self._cursor: channel_service_pb2.SubscriptionCursor | None = None  # the last one received; None: none yet
         self._times = ChannelTimes(0, 0)  # the newest item and the advance, by the messages of this subscription
-        self._credit = 0  # the granted bytes that the member's host has left
+        self._credit = 0  # the granted bytes that the member's host has not used yet
         self._item_bytes = ITEM_OVERHEAD_BYTES  # the least that an item of the last run has cost
         self._wants_more = asyncio.Event()
         self._had_all = False  # the track once had all items that the member had
@@ -54,9 +54,9 @@ class RemoteMember:
     def has_passed(self, instant: int, lateness_nanos: int, *, is_idle: bool) -> bool:
         """Whether the member has passed the instant, judged only by the messages of this subscription.
 
-        So the track already has all items that the member got before it passed the instant. If the member has not
-        passed it, its host may send more. An idle member (`is_idle`) has passed each instant as soon as the track has
-        had all of its items, which may come from an archive.
+        The messages come in order. So the track already has all items that the member got before it passed the instant.
+        If the member has not passed the instant, this method lets its host send more. An idle member (`is_idle`) has
+        passed each instant as soon as the track has had all of its items, which may come from an archive.
         """
         passed = self._times.has_passed(instant, lateness_nanos) or (is_idle and not self._owes_items)
         if self._credit <= 0 or not passed:
@@ -118,9 +118,10 @@ class RemoteMember:
             await call.write(request)
 
     async def _requests(self) -> AsyncIterator[channel_service_pb2.SubscribeRequest]:
-        """The request that opens the subscription: from `since` on, or after the items that came already. Then credit.
+        """Yield the request that opens the subscription, and then requests with credit.
 
-        The charge of an item counts its payload, which does not come. So the credit grows with the size of the items.
+        The subscription begins at `since`, or after the items that came already. The host charges each item with its
+        payload, although it does not send the payload. So the credit grows with the size of the items.
         """
         opening = channel_service_pb2.SubscribeOpen(channel_id=self.channel_id, epoch=self.epoch, without_payloads=True)
         if self._cursor is None:
@@ -140,7 +141,7 @@ class RemoteMember:
     def _begin_anew(self) -> None:
         """Forget all seqs and keys, and follow the member again from the time of its newest item.
 
-        The member's host was lost with its items, so the seqs of the former incarnation are not valid any more.
+        The member's host was lost together with its items, so the seqs of the former incarnation are no longer valid.
         """
         self.track.forget_before(MAX_INSTANT)
         self._cursor = None

@@ -21,7 +21,7 @@ WAIT_NANOS_DEFAULT = 5_000_000_000  # for a put that states no wait
 
 Spawn = Callable[[Coroutine[Any, Any, None]], asyncio.Task[None]]
 Look = Callable[[bool], None]
-"""Looks whether an ack is due. The argument says whether the ack may be written in this turn of the event loop."""
+"""Checks whether an ack is due. The argument says whether it may write the ack in this turn of the event loop."""
 
 
 class HeldAck(Protocol):
@@ -32,10 +32,10 @@ class HeldAck(Protocol):
         """Whether `take` may be called."""
 
     def take(self) -> pb.PutAck:
-        """The ack, which is due. Call this once."""
+        """Return the ack. Call this once, when the ack is due."""
 
     def watch(self, look: Look, spawn: Spawn) -> Callable[[], object]:
-        """Call `look` whenever the ack may have become due. Returns a function that ends this.
+        """Call `look` whenever the ack may have become due. Returns a function that stops these calls.
 
         `spawn` makes a task that ends with the stream.
         """
@@ -87,7 +87,7 @@ class AckOfDisk:
 
 
 def _end_seq(ack: pb.PutAck) -> int:
-    """The seq after the accepted items of an ack."""
+    """The seq after the last accepted item of an ack."""
     last = ack.later_parts[-1] if ack.later_parts else pb.PutPart(index=0, first_seq=ack.first_seq)
     refused_behind = sum(one.index >= last.index for one in ack.rejections)
     return last.first_seq + ack.items - last.index - refused_behind
@@ -177,7 +177,7 @@ class AckOfReplicas:
 
 
 class HeldAcks:
-    """The acks of one stream that are not due, and the acks after them, in order."""
+    """The acks of one stream from the first one on that is not due, in order."""
 
     def __init__(self, on_due: Look, spawn: Spawn) -> None:
         """`on_due` is called when the first ack becomes due, and must not wait. `spawn`: see `HeldAck.watch`."""

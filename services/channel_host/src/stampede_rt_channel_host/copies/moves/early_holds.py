@@ -1,4 +1,4 @@
-"""Remembers the sources whose last message of a copy comes slowly. They must not hold the channel early. Pure."""
+"""Remembers the sources that send the last message of a copy slowly. They must not hold a channel early. Pure."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ HOSTS_MAX = 256
 class EarlyHolds:
     """Decides whether a source may hold a channel before this host has the last message of the copy.
 
-    Puts that come meanwhile wait for that message. `now_s` is monotonic.
+    Puts wait while the channel is held, so a slow last message would delay them. `now_s` is monotonic.
     """
 
     def __init__(self) -> None:

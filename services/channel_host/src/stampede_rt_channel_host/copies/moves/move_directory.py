@@ -55,8 +55,9 @@ class MoveDirectory(GatheredMoves):
     """Asks the directory about owners, and has it change them.
 
     Each method waits for CALL_SECONDS_MAX at most, and raises the error with which the directory answers, or
-    Unavailable. A gathered call also waits for the call under way, and a refused commit asks again for the reason. So
-    `commit` waits for four times as long at most, `remove_fallback` and `is_released` for twice as long.
+    Unavailable. A gathered call also waits for the call under way, and if the directory refuses a gathered commit, the
+    host commits the move alone to learn the reason. So `commit` waits for four times as long at most. `remove_fallback`
+    and `is_released` wait for twice as long at most.
     """
 
     def __init__(self, supernodes: Supernodes, identity: HostIdentity) -> None:
@@ -83,7 +84,7 @@ class MoveDirectory(GatheredMoves):
         return _placed(found.channel, found.host)
 
     async def owners_of(self, channel_ids: Sequence[bytes]) -> list[OwnedChannel]:
-        """Ask for several channels with one call. Asks a supernode of an earlier release for one after the other."""
+        """Look up several channels with one call. If the supernode has an earlier release, make one call for each."""
         try:
             found = await self._call("ListOwners", pb.ListOwnersRequest(channel_ids=channel_ids))
         except StampedeError as error:
@@ -170,7 +171,7 @@ class MoveDirectory(GatheredMoves):
         return {*(await self._call("ReleaseMoves", request)).channel_ids}
 
     async def released_of(self, channel_ids: Sequence[bytes]) -> set[bytes]:
-        """Ask for several channels with one call."""
+        """Ask which of several channels are released, with one call."""
         request = pb.ListReleasedMovesRequest(host_id=self._identity.host_id, channel_ids=channel_ids)
         return {*(await self._call("ListReleasedMoves", request)).channel_ids}
 

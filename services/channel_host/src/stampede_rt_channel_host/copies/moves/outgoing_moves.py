@@ -183,7 +183,7 @@ class OutgoingMove:
         self._moves.start(self._end(), "end of a move")
 
     async def _end(self) -> None:
-        """Take a new epoch, after which the destination cannot commit; or learn that it has committed."""
+        """Take a new epoch, so that the destination can no longer commit the move. Or learn that it has committed."""
         directory, record, request_id = self._moves.directory, self._hosted.record, secrets.token_bytes(16)
         while self._is_under_way and not self.is_committed:
             try:

@@ -1,6 +1,6 @@
 """The instants at which the owners of a recorded channel accepted its items. Pure.
 
-The archive writes them beside the items. They go along with the items when the channel moves to another host.
+The archive writes these instants beside the items. They move to another host together with the items.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ ROW_BYTES, CHUNK_BYTES = 16, 256
 
 
 class AcceptedRows(NamedTuple):
-    """Rows of seqs and instants. The items below the seq `ends[i]`, and not below `ends[i - 1]`, were accepted at
-    `instants[i]`. Both ascend.
+    """Rows of seqs and instants. An owner accepted the items from `ends[i - 1]` up to `ends[i]`, exclusive, at
+    `instants[i]`. Both columns ascend.
     """
 
     ends: tuple[int, ...]
@@ -44,8 +44,9 @@ class _Chunk:
 
 
 class Acceptances:
-    """The instants of the items that memory holds. They never go back, and an item whose instant is not known has the
-    instant of the next item with a known one.
+    """The instants of the items that memory holds. A later seq never has an earlier instant.
+
+    If the instant of an item is not known, the item has the instant of the next item whose instant is known.
 
     Takes 16 bytes for each held put, and at most twice as many after items have left memory.
     """
@@ -89,8 +90,8 @@ class Acceptances:
                 self._thin(held)
 
     def take(self, rows: AcceptedRows, now: int, held: Holdings) -> None:
-        """Take over the rows of another host. Its clock may be ahead of this host's clock, which shows `now`: no item
-        has a later instant than this one.
+        """Take over the rows of another host. The clock of that host may be ahead of this host's clock, which shows
+        `now`. Instants after `now` therefore become `now`.
         """
         for end_seq, instant in zip(*rows, strict=True):
             self.note(end_seq, min(instant, now), held)
@@ -124,7 +125,7 @@ class Acceptances:
         return self._chunks[at] if at < whole else None
 
     def _thin(self, held: Holdings) -> None:
-        """Drop the rows without held items from the next full chunk."""
+        """Drop the rows of items that memory no longer holds from the next full chunk."""
         at = self._place if self._place < len(self._chunks) - 1 else 0
         chunk, before = self._chunks[at], self._chunks[at - 1] if at else None
         kept = _held_rows(chunk, 0 if before is None else before.ends[-1], held)
@@ -143,7 +144,7 @@ class Acceptances:
 
 
 def _held_rows(chunk: _Chunk, first_seq: int, held: Holdings) -> list[int]:
-    """The places of the rows that have held items. The first row begins with `first_seq`."""
+    """The positions of the rows with held items in a chunk. The first row begins with `first_seq`."""
     kept: list[int] = []
     looked = 0
     for part in islice(held.slices_by_seq(first_seq, chunk.ends[-1]), SLICES_PER_CHUNK):
