@@ -24,7 +24,7 @@ ANSWER_S = 5.0  # the time for the answer of a host that drains, after its timeo
 
 
 class _MovableSubject(NamedTuple):
-    """A channel or queue: the host that owns it, and the request to another host to take it over."""
+    """The owner of a channel or queue, and the request that has another host take over this channel or queue."""
 
     owner: str
     request: pb.MoveHereRequest
@@ -72,11 +72,11 @@ class Moves(Proxies):
         return _info(queue, host, self._move_here(find, host, deadline_s))
 
     def _move_here(self, find: Callable[[], _MovableSubject], host: str, deadline_s: float) -> pb.MoveHereResponse:
-        """Tell the owner that this host may take the thing over, and then tell the host to take it over."""
+        """Let the owner permit the move to `host`, and then have `host` take over the channel or queue."""
         hosts = {one.name: one for one in self.hosts() if one.endpoints}
         if host not in hosts:
             raise HostNotFound(f"there is no live host {host!r}; `stampede hosts` lists the hosts")
-        while True:  # tries again if another move of the thing has just ended; ends with the deadline
+        while True:  # tries again, until the deadline, if another move of the channel or queue has just ended
             found = find()
             try:
                 if found.owner != host and found.owner in hosts:
@@ -93,7 +93,7 @@ class Moves(Proxies):
             sleep(RETRY_S)
 
     def _allow(self, request: pb.MoveHereRequest, owner: str, host_id: bytes, deadline_s: float) -> None:
-        """Tell the owner which host may take the thing over. Raises StaleBinding if the owner is another host."""
+        """Permit one host to take over the channel or queue. Raises StaleBinding if `owner` no longer owns it."""
         allow = pb.AllowMoveRequest(channel_id=request.channel_id, queue_id=request.queue_id, to_host_id=host_id)
         endpoint = self._session.endpoints.to(owner)
         endpoint.call(endpoint.moves.AllowMove, allow, max(deadline_s - monotonic_s(), 0.1))
@@ -102,9 +102,9 @@ class Moves(Proxies):
         """Plan moves that even out the loads of the hosts. With `apply` also perform them, one after the other.
 
         The plan uses the loads that the hosts last reported to the directory, and the work of each channel, measured
-        for `over`. Channels of one group at one host stay together. Without `apply` nothing moves: look at the plan
-        first. Hosts whose loads differ by less than a tenth of a core stay as they are, and so do channels with an
-        archive. `over` is more than 0 and at most an hour. Raises InvalidArgument, and the errors of `move`.
+        for `over`. Channels of one group at one host stay together. Without `apply` the call only returns the plan.
+        Hosts whose loads differ by less than a tenth of a core stay as they are, and so do channels with an archive.
+        `over` is more than 0 and at most an hour. Raises InvalidArgument, and the errors of `move`.
         """
         over_nanos = parse_duration(over, "over")
         if not 0 < over_nanos <= OVER_NANOS_MAX:
@@ -122,7 +122,7 @@ class Moves(Proxies):
         return planned
 
     def _rates(self, hosts: Collection[str], over_s: float) -> dict[str, dict[str, float]]:
-        """Measure the work of each channel for `over_s`. Returns it by host and name."""
+        """Measure the work of each channel for `over_s` seconds. Returns the work by host and channel name."""
         before = {host: self.hosted_channels(host) for host in hosts}
         sleep(over_s)
         # A host also lists its copies of other hosts' channels.

@@ -28,7 +28,7 @@ _ENDS = (signal.SIGTERM, signal.SIGHUP)  # the signals that are like Ctrl-C for 
 
 
 class Interruption:
-    """Knows whether the user has pressed Ctrl-C (`requested`), and the functions to call after that.
+    """Knows whether the user has pressed Ctrl-C (`requested`), and which functions to call after Ctrl-C.
 
     SIGTERM and SIGHUP count as Ctrl-C while the command has a regular end. Otherwise they end the process as usual.
     """
@@ -49,8 +49,8 @@ class Interruption:
     def closes(self, close: Callable[[], object]) -> None:
         """Keep the function `close`. After Ctrl-C a separate thread calls it.
 
-        If Ctrl-C came before and the command has no regular end, calls it immediately: the command must begin nothing
-        more.
+        If Ctrl-C came before and the command has no regular end, calls `close` immediately, because the command must
+        not use the connection that it has just opened.
         """
         self._closes.append(close)
         if self.requested and self.regular_end is None:
@@ -63,7 +63,7 @@ class Interruption:
                 self._closes.pop()()
 
     def begin(self) -> None:
-        """Forget Ctrl-C and the functions of the command before."""
+        """Forget the Ctrl-C and the functions of the previous command."""
         self.requested = False
         self._closes.clear()
         self.regular_end = None
@@ -79,7 +79,7 @@ def run_interruptibly(work: Callable[[], int]) -> int:
     in the same way, because service managers, scripts and closed terminals send these signals.
 
     After Ctrl-C this function closes the command's connections, and waits for the end of `work`. Both together
-    take at most CLOSE_S. A command with a regular end first has its time for that, and then CLOSE_AFTER_STOP_S. A
+    take at most CLOSE_S. A command with a regular end first has `limit_s` to end, and then CLOSE_AFTER_STOP_S. A
     second Ctrl-C ends the process immediately. Only the main thread receives signals. If the caller is another thread,
     or if the process ignores all these signals, `work` runs on the caller's thread.
     """

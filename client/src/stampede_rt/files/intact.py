@@ -1,4 +1,4 @@
-"""The contents of intact files, and the losses that a new file takes over from them."""
+"""Reads whole files and refuses damaged ones. Also collects the losses that files report, for a file made of them."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ LOSSES_MAX = 1000
 
 
 class UnnamedLosses(TypedDict):
-    """The losses of files that no gap names (see `RecordingSummary`)."""
+    """The reported losses for which a file has no gap record, see `RecordingSummary`."""
 
     absent: tuple[str, ...]
     damaged: tuple[str, ...]
 
 
 def losses_of(readers: Iterable[FileReader]) -> UnnamedLosses:
-    """Return the losses of a file that is made of these files. Raises FileError."""
+    """Return the losses that the files report, each once, for a new file made of these files. Raises FileError."""
     summaries = [summary for one in readers if (summary := one.summary())]
     absent = dict.fromkeys(text for summary in summaries for text in summary.absent)
     damaged = dict.fromkeys(text for summary in summaries for text in summary.damaged)

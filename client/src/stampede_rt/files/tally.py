@@ -12,9 +12,9 @@ from stampede_rt.values.seq_starts import given_between
 class ChannelTally:
     """Counts the items and gaps of one incarnation of a channel.
 
-    The host numbers the items that it accepts. `live_seq` is the seq of the first item after the recording began. Every
-    later seq belongs to the recording, so the tally knows how many items there must be, even without the gaps that the
-    host has reported.
+    The host gives each accepted item the next seq. `live_seq` is the seq of the first item after the recording began.
+    The recording must have an item or a gap for every seq from there on. So the tally finds missing items even if the
+    host has reported no gap for them.
     """
 
     def __init__(self, channel: str, incarnation: int, live_seq: int) -> None:
@@ -23,7 +23,7 @@ class ChannelTally:
         self._live_seq = live_seq
         self._end_seq = live_seq - 1  # the last seq of the recording
         self._recorded = self._live_recorded = self._payload_bytes = 0
-        self._named = 0  # missing items that the gaps name
+        self._named = 0  # the number of missing items for which a gap was added
         self._gaps: list[RecordingGap] = []
         self._gap_count = 0
         self._first_seq: int | None = None
@@ -77,10 +77,11 @@ class ChannelTally:
         self._end_seq = max(self._end_seq, seq)
 
     def ends(self, accepted_to: int, read_to: int) -> list[RecordingGap]:
-        """End at `accepted_to`, the last seq that the host has accepted. The stream has been read to `read_to`.
+        """End the recording at `accepted_to`, the seq of the last item that the host has accepted.
 
-        Returns the gaps that the host has not named: items that were not read, and items that are missing without a
-        reason. The caller writes these gaps, and passes each of them to `add_gap`.
+        `read_to`: the last seq that was read from the stream. Returns the gaps that the host has not reported: for
+        items that were not read, and for items that are missing without a reason. The caller writes these gaps, and
+        passes each of them to `add_gap`.
         """
         self.reaches(accepted_to)
         gaps, unread = [], given_between(read_to + 1, accepted_to + 1)

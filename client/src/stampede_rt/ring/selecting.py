@@ -1,8 +1,8 @@
-"""Reads by time from a ring, as its host would answer them. Pure.
+"""Answers reads by time from a ring, with the same answer that the host would give. Pure.
 
 If the ring cannot answer a read exactly, the result is None, and the caller asks the host. An item before the interval
-may have a span that reaches into it, so a read needs the bucket at or before its start. The ring has all items of each
-bucket that is later than the first item of its first ordered slot.
+may have a span that reaches into the interval. So a read needs the bucket at or before the start of the interval. The
+bucket of the first item of the ring's first ordered slot may lack items. The ring has all items of later buckets.
 """
 
 from __future__ import annotations
@@ -155,7 +155,7 @@ def _answer(
     pieces = found.pieces(picks)
     if pieces is None or (query.complete and not complete):
         return None
-    next_time = _time_behind(found, found.times[picks[-1]], facts)
+    next_time = _next_bucket_time(found, found.times[picks[-1]], facts)
     return RingAnswer(pieces, next_time, within, complete, truncated, more)
 
 
@@ -167,7 +167,10 @@ def _resolved(facts: list[int], query: ReadQuery, now: int) -> ResolvedInterval 
 
 
 def _last_slot(view: RingView, first: int, head: int, is_before: Callable[[int], bool]) -> int:
-    """Return the last slot from `first` on whose first time passes the test; `first - 1` if none does."""
+    """Return the last slot from `first` on whose first time passes the test `is_before`; `first - 1` if none does.
+
+    `head`: the end of the slots, exclusive.
+    """
     low, high = first, head
     while low < high:
         middle = (low + high) // 2
@@ -181,7 +184,7 @@ def _last_slot(view: RingView, first: int, head: int, is_before: Callable[[int],
 def _candidates(
     view: RingView, facts: list[int], query: ReadQuery, within: ResolvedInterval, columns_of: ColumnsOf
 ) -> tuple[_Items, bool] | None:
-    """Return items that may match, and whether they are all items that may match."""
+    """Return items that may match, and whether no other item of the channel may match. None if the host must answer."""
     first, head = view.first_ordered(facts), facts[HEAD]
     start, end = within.start, within.end
     last = _last_slot(view, first, head, lambda time: time < end or (time == end and not within.end_exclusive))
@@ -212,7 +215,7 @@ def _ascend(times: Sequence[int]) -> bool:
     return all(one <= other for one, other in pairwise(times))
 
 
-def _time_behind(found: _Items, time: int, facts: list[int]) -> int | None:
+def _next_bucket_time(found: _Items, time: int, facts: list[int]) -> int | None:
     """Return the time of the next bucket after `time`; None if `time` is the newest."""
     at = bisect_right(found.times, time)
     if at < len(found.times):
@@ -243,7 +246,7 @@ def _reaching_in(found: _Items, within: ResolvedInterval, now: int, facts: list[
     positions = range(bisect_left(times, bucket), end)
     if bucket in within:
         return [*positions]
-    is_newest = _time_behind(found, bucket, facts) is None
+    is_newest = _next_bucket_time(found, bucket, facts) is None
     lasts = not is_newest or now > start or (now == start and not within.start_exclusive)  # without a duration
     own = found.durations
     return [at for at in positions if (bucket + own[at] > start if own[at] != ABSENT else lasts)]
@@ -254,7 +257,7 @@ def _staying_in(found: _Items, within: ResolvedInterval, now: int, low: int, hig
     if low >= high:
         return []
     times, durations, bucket = found.times, found.durations, found.times[high - 1]
-    following = _time_behind(found, bucket, facts)
+    following = _next_bucket_time(found, bucket, facts)
     bound = now if following is None else following
     positions = range(max(low, bisect_left(times, bucket)), high)
 

@@ -116,10 +116,10 @@ run_concurrently = run_all
 
 
 class StepTask:
-    """Performs the steps of an iterator, so that callers who cancel each of their steps receive items nevertheless.
+    """Performs the steps of an iterator. Even a caller that cancels each of its steps gets items in the end.
 
-    Usually a step runs in the task of its caller, and ends with it. After a caller has cancelled a step, further steps
-    run in tasks of their own, which continue without their callers. The next caller waits for the step under way.
+    Usually a step runs in the task of its caller, and ends with this task. After a caller has cancelled a step, further
+    steps run in tasks of their own, which continue without their callers. The next caller waits for the step under way.
     Otherwise a caller with a short timeout would begin the opening of a stream again and again, and never get an item.
     """
 

@@ -42,7 +42,7 @@ class NumberedRun:
 
 
 class RunBuilder:
-    """Collects items, and cuts runs of them. Only one caller at a time may cut and drop. Others may `add` meanwhile.
+    """Collects items, and makes runs of them. Only one caller at a time may `cut` or `drop`. Others may `add` then.
 
     Items fit together in one run if all or none of them have a time, if their attributes and content types are equal,
     and if the run stays within its limits. The builder numbers the items of all its runs.
@@ -70,7 +70,7 @@ class RunBuilder:
         return not items or (items < RUN_ITEMS_MAX and self.length_bytes + length_bytes <= RUN_BYTES_MAX)
 
     def add_within(self, item: WaitingItem, length_bytes: int) -> bool:
-        """Append an item if `has_room`. Returns whether it has. See `add`."""
+        """Append an item if `has_room` is True. Returns whether it was appended. See `add`."""
         waiting, before_bytes = self._waiting, self.length_bytes
         if len(waiting) > 1 and (len(waiting) > RUN_ITEMS_MAX or before_bytes + length_bytes > RUN_BYTES_MAX):
             return False
@@ -106,10 +106,10 @@ class RunBuilder:
         return NumberedRun(number, len(payloads), length_bytes, encoded, request_bytes, self._cut_bytes)
 
     def drop(self, run: NumberedRun | None) -> None:
-        """Forget the items of the run, which `cut` has returned last. Does nothing if they were dropped before.
+        """Forget the items of `run`, which the last `cut` has returned. Does nothing if they were dropped before.
 
-        One operation drops the items and changes the number. So an exception of a signal handler comes before or after
-        this operation.
+        One operation of the interpreter drops the items and sets the number of the next item. So an exception of a
+        signal handler cannot separate these two changes.
         """
         if run is None or run.first_number < self.next_number:
             return
