@@ -130,7 +130,7 @@ class PySyncObjLog:
             status = replace(status, leader_id=None, is_leader=False, tenure=0, disk_silent_seconds=silent)
         status = replace(status, former_ids=self._replica.roster.former_ids)
         refused_members = self._servicer.refused() if self._servicer is not None else {}
-        refusing_members = {**links.outdated.by, **links.refusals.by}
+        refusing_members = {**links.outdated.words_by_id, **links.refusals.words_by_id}
         confirmed, release_refusal = links.refusals.confirmed, links.outdated.why
         if not (refusing_members or confirmed or release_refusal or links.other_cluster or refused_members):
             return status

@@ -66,7 +66,7 @@ def test_a_member_of_an_older_release_is_refused_and_one_refusal_does_not_stop_i
     for _ in range(3):
         links.take_refusal("s1", refusal)
     assert links.outdated.confirmed is None
-    assert list(links.outdated.by) == ["s1"]
+    assert list(links.outdated.words_by_id) == ["s1"]
 
 
 @pytest.mark.parametrize(("refusing", "leader_id"), [(["s1"], "s1"), (["s1", "s3"], None)])
@@ -79,7 +79,7 @@ def test_refusals_by_the_leader_or_most_members_stop_an_old_release_and_leave_it
     assert links.outdated.confirmed is RefusalGrounds.TOO_OLD
     assert "it knows feature level 1, and the cluster is at level 2 (says s1" in links.outdated.why
     assert links.done == [], "s2's store is not disputed, and its folder has no mark"
-    assert not links.refusals.by
+    assert not links.refusals.words_by_id
 
 
 def test_refusals_for_different_reasons_are_counted_separately() -> None:
@@ -89,7 +89,7 @@ def test_refusals_for_different_reasons_are_counted_separately() -> None:
     assert links.outdated.confirmed is links.refusals.confirmed is None
     links.take_refusal("s1", refused(term=0))
     assert links.refusals.confirmed is RefusalGrounds.OLDER_STORE
-    assert not links.outdated.by, "s1 refuses s2 for its store now, and no longer for its release"
+    assert not links.outdated.words_by_id, "s1 refuses s2 for its store now, and no longer for its release"
 
 
 @pytest.mark.parametrize("version", [PROTOCOL_VERSION - 1, PROTOCOL_VERSION + 1])

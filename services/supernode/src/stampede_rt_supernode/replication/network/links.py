@@ -118,30 +118,30 @@ class PeerLinks:
                     deliver(StoreDisputed(member_id, ""))
             deliver(event)
 
-        def on_refused(why: str) -> None:
+        def on_break(why: str) -> None:
             self._on_refused(member_id, why, deliver)
 
-        return PeerLink(member, self._settings, self._dial, deliver_first, on_refused, introduce, self._reports)
+        return PeerLink(member, self._settings, self._dial, deliver_first, on_break, introduce, self._reports)
 
     def _on_refused(self, member_id: str, why: str, deliver: Callable[[NetworkEvent], None]) -> None:
         if OTHER_CLUSTER in why:
             self.other_cluster = why
         grounds, why = grounds_of(why), _STATUS.sub("", why)
         if grounds is RefusalGrounds.TOO_OLD:
-            self._count(self.outdated, member_id, why, OUTDATED_FOLLOWS)
+            self._note_refusal(self.outdated, member_id, why, OUTDATED_FOLLOWS)
         elif grounds is not None:
             self.outdated.accepted(member_id)
-            if member_id not in self.refusals.by:
+            if member_id not in self.refusals.words_by_id:
                 deliver(StoreDisputed(member_id, why))
-            if self._count(self.refusals, member_id, why, REFUSED_FOLLOWS):
+            if self._note_refusal(self.refusals, member_id, why, REFUSED_FOLLOWS):
                 self.on_refusal_confirmed(self.refusals.why)
 
-    def _count(self, refusals: Refusals, member_id: str, why: str, what_follows: str) -> bool:
+    def _note_refusal(self, refusals: Refusals, member_id: str, why: str, what_follows: str) -> bool:
         """Note in `refusals` that a member refuses this member. Returns True if this call has confirmed a refusal.
 
         `what_follows`: the beginning of a sentence in the warning, such as OUTDATED_FOLLOWS.
         """
-        is_new, was_confirmed = member_id not in refusals.by, refusals.confirmed is not None
+        is_new, was_confirmed = member_id not in refusals.words_by_id, refusals.confirmed is not None
         others, leader_id = self.others_and_leader()
         is_confirmed = refusals.refused(member_id, why, others=others, leader_id=leader_id)
         if is_new and not is_confirmed:
@@ -163,7 +163,7 @@ class PeerLinks:
         if now - self._others_asked_at > ASK_OTHERS_SECONDS:
             self._others_asked_at = now
             for member_id, link in self._links.items():
-                if member_id not in refusals.by:
+                if member_id not in refusals.words_by_id:
                     link.greet_anew()
 
     def drop(self, member_id: str, why: str) -> None:

@@ -70,14 +70,14 @@ class PeerLink:
         settings: ReplicationSettings,
         dial: Dial,
         deliver: Callable[[NetworkEvent], None],
-        on_refused: Callable[[str], None],
+        on_break: Callable[[str], None],
         introduce: Introduce,
         reports: ReportLimiter,
     ) -> None:
-        """`on_refused` gets the reason each time that the stream cannot be opened, or ends."""
+        """`on_break` gets the reason each time that the stream cannot be opened, or ends."""
         self._reports = reports
         self.member = self._member = member
-        self._on_refused = on_refused
+        self._on_break = on_break
         self._introduce = introduce
         self._settings = settings
         self._dial = dial
@@ -124,7 +124,7 @@ class PeerLink:
                 await self._hold_stream()
             except (grpc.RpcError, LinkBroken, TimeoutError, asyncio.InvalidStateError) as error:
                 self._report(_brief(error))
-                self._on_refused(_brief(error))
+                self._on_break(_brief(error))
             await asyncio.sleep(pause * random.uniform(0.5, 1.0))
 
     def _report(self, reason: str) -> None:

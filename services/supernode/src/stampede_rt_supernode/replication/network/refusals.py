@@ -42,8 +42,8 @@ class Refusals:
     """
 
     def __init__(self) -> None:
-        # member id -> the words of its refusal
-        self.by: dict[str, str] = {}
+        # member id -> the words with which the member refuses this member
+        self.words_by_id: dict[str, str] = {}
         # the grounds and words of the confirmed refusal; None and empty as long as there is none
         self.confirmed: RefusalGrounds | None = None
         self.why = ""
@@ -53,13 +53,15 @@ class Refusals:
 
         `others`: the ids of all other members. `leader_id`: the leader that this member follows; None if it knows none.
         """
-        self.by[member_id] = why
-        trusted = [leader_id] if leader_id in self.by else sorted(one for one in self.by if one in others)
+        self.words_by_id[member_id] = why
+        trusted = (
+            [leader_id] if leader_id in self.words_by_id else sorted(one for one in self.words_by_id if one in others)
+        )
         if self.confirmed is None and (trusted == [leader_id] or 2 * len(trusted) > len(others)):
-            words = self.by[trusted[0] or ""]
+            words = self.words_by_id[trusted[0] or ""]
             self.confirmed, self.why = grounds_of(words), f"{words} (says {', '.join(map(str, trusted))})"
         return self.confirmed is not None
 
     def accepted(self, member_id: str) -> bool:
         """Note that a member accepts this member. Returns whether the other member refused this member before."""
-        return self.by.pop(member_id, None) is not None
+        return self.words_by_id.pop(member_id, None) is not None
