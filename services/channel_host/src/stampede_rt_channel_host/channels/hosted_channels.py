@@ -205,7 +205,7 @@ class HostedChannel:
             if wanted:
                 # consumption frees items, so it may use a little more memory than puts (CONSUMPTION_SHARE)
                 self._charge.claim(wanted - self._charge.spare_bytes)
-        consumed = self.core.consume(consumer_id, seqs, now, lease_nanos=lease_nanos, owner=owner)
+        consumed = self.core.consume(consumer_id, seqs, now, lease_nanos=lease_nanos, caller_name=owner)
         shares.note(owner, self.core)
         if self.replication is not None:
             self.replication.accepted(now)

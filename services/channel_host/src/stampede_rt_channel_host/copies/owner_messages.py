@@ -150,7 +150,7 @@ def _place_to(place: ConsumerPlace) -> pb.FedConsumer:
         lease_nanos=max(0, place.lease_nanos),
         consumed_below_seq=place.consumed_below,
         consumed=[subject_pb2.SeqRange(first_seq=first, items=end - first) for first, end in place.consumed],
-        owner=place.owner,
+        owner=place.caller_name,
     )
 
 

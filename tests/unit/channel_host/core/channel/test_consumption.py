@@ -404,11 +404,11 @@ def test_one_caller_cannot_take_all_consumer_places(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(consumer_places, "PLACES_OF_ONE_MAX", 2)
     channel = three_items(consumers=5)
     for consumer in (1, 2):
-        channel.consume(consumer, [], CLOCK, owner="greedy")
+        channel.consume(consumer, [], CLOCK, caller_name="greedy")
     with pytest.raises(Overloaded, match=r"greedy has 2 of the channel's 5 consumer places, and 2 is the most for one"):
-        channel.consume(3, [], CLOCK, owner="greedy")
-    channel.consume(2, [1], CLOCK, owner="greedy")
+        channel.consume(3, [], CLOCK, caller_name="greedy")
+    channel.consume(2, [1], CLOCK, caller_name="greedy")
     for consumer in (4, 5, 6):
         channel.consume(consumer, [], CLOCK)  # callers without a name of their own
-    channel.consume(2, [], CLOCK, lease_nanos=0, owner="greedy")
-    channel.consume(3, [], CLOCK, owner="greedy")
+    channel.consume(2, [], CLOCK, lease_nanos=0, caller_name="greedy")
+    channel.consume(3, [], CLOCK, caller_name="greedy")

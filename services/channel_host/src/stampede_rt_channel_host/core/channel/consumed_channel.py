@@ -17,16 +17,16 @@ class ConsumedChannel(BaseChannel):
     """A channel whose consumers report which items they have consumed. See `ChannelCore` for `now`."""
 
     def consume(
-        self, consumer_id: int, seqs: Sequence[int], now: int, *, lease_nanos: int = LEASE_NANOS, owner: str = ""
+        self, consumer_id: int, seqs: Sequence[int], now: int, *, lease_nanos: int = LEASE_NANOS, caller_name: str = ""
     ) -> ConsumptionResult:
         """Consume items for one consumer, and collect the items that all consumers have consumed. Safe to repeat.
 
         Takes a place for the consumer if it has none, and keeps the place for `lease_nanos` from now (see the module
-        `consumption`). A lease of 0 gives the place up. `seqs` may be empty. `owner` is the name of the caller; if it
-        is empty, the number of the caller's places has no limit.
+        `consumption`). A lease of 0 gives the place up. `seqs` may be empty. If `caller_name` is
+        empty, the number of the caller's places has no limit.
 
-        Raises InvalidArgument (see `check_consumption`), ChannelFull if all places are taken, and Overloaded if `owner`
-        has as many places as one caller may have.
+        Raises InvalidArgument (see `check_consumption`), ChannelFull if all places are taken, and Overloaded if the
+        caller has as many places as one caller may have.
         """
         run_to_end(self.catching_up(now))
         clock = self._age_and_free(self._tick(now))
@@ -41,15 +41,15 @@ class ConsumedChannel(BaseChannel):
             newest_seq=newest_seq,
             clock=clock,
             lease=lease_nanos,
-            owner=owner,
+            caller_name=caller_name,
         )
         self._age_and_free(clock)
         return consumed
 
-    def consumption_bytes_of(self, owner: str) -> int:
+    def consumption_bytes_of(self, caller_name: str) -> int:
         """The memory of the consumer places of one caller, in bytes."""
         consumers = self._retention.consumers
-        return 0 if consumers is None else consumers.table.footprint_bytes_of(owner)
+        return 0 if consumers is None else consumers.table.footprint_bytes_of(caller_name)
 
     def consumption_bytes(self, consumer_id: int, seqs: Sequence[int]) -> int:
         """The most memory that `consume` adds for these seqs. Call `check_consumption` first."""

@@ -34,14 +34,14 @@ class ConsumerPlace(NamedTuple):
 
     `consumer_id` is 0 if the place was never taken. `lease_nanos` is the rest of the lease, or 0 if it has ended. The
     consumer has consumed all seqs below `consumed_below`, and the seqs in the ranges `consumed` (first seq and end,
-    exclusive). The ranges may lack seqs of collected items. `owner` is the name of the caller that took the place.
+    exclusive). The ranges may lack seqs of collected items. `caller_name`: the caller that took the place.
     """
 
     consumer_id: int
     lease_nanos: int
     consumed_below: int
     consumed: Sequence[tuple[int, int]]
-    owner: str = ""
+    caller_name: str = ""
 
 
 class ConsumerStanding(NamedTuple):
@@ -61,14 +61,14 @@ class Place:
     `done` has the seqs that the consumer has consumed, and collected seqs next to them. It is None after the lease has
     ended. All seqs lower than `below` are in `done`; the table sorts the places with a valid lease by `below`.
     `joined_to` is the seq at which `Consumers._join_collected` continues. `ranges` is the last counted number of ranges
-    of `done`. `order` decides between places that are otherwise equal. `due` belongs to `Deadlines`. `owner` is the
-    name of the caller that took the place; empty if it is not known.
+    of `done`. `order` decides between places that are otherwise equal. `due` belongs to `Deadlines`. `caller_name`
+    names the caller that took the place; empty if it is not known.
     """
 
-    __slots__ = ("below", "consumer_id", "done", "due", "joined_to", "order", "owner", "ranges", "until")
+    __slots__ = ("below", "caller_name", "consumer_id", "done", "due", "joined_to", "order", "ranges", "until")
 
     def __init__(self, consumer_id: int, order: int, done: SeqSet | None, until: int = 0) -> None:
-        self.owner = ""
+        self.caller_name = ""
         self.consumer_id = consumer_id
         self.order = order
         self.done = done
@@ -96,16 +96,18 @@ class PlaceTable:
         self._leases: Deadlines[Place] = Deadlines()
         self._orders = 0  # the last `order` given to a place
         self._ranges = 0  # the number of ranges of consumed seqs, of all places together
-        self._bytes_of: Counter[str] = Counter()  # the memory of places by `Place.owner`; without places that have none
+        self._bytes_of: Counter[str] = (
+            Counter()
+        )  # the memory of places by `Place.caller_name`; without places that have none
 
     @property
     def footprint_bytes(self) -> int:
         """The memory of the taken places, and of the ranges that their consumers have consumed."""
         return CONSUMER_BYTES * len(self._taken) + CONSUMED_RANGE_BYTES * self._ranges
 
-    def footprint_bytes_of(self, owner: str) -> int:
+    def footprint_bytes_of(self, caller_name: str) -> int:
         """The bytes of the places of one caller."""
-        return self._bytes_of[owner]
+        return self._bytes_of[caller_name]
 
     @property
     def untaken(self) -> int:
@@ -177,16 +179,16 @@ class PlaceTable:
             done.add(1, restart_seq)
         return self._enter(consumer_id, done), done
 
-    def check_share(self, owner: str) -> None:
-        """Raises Overloaded if the caller `owner` has PLACES_OF_ONE_MAX places with a valid lease."""
+    def check_share(self, caller_name: str) -> None:
+        """Raises Overloaded if the caller `caller_name` has PLACES_OF_ONE_MAX places with a valid lease."""
         if len(self._live) < PLACES_OF_ONE_MAX:
             return
-        held = sum(place.owner == owner for place in self._live)
+        held = sum(place.caller_name == caller_name for place in self._live)
         if held >= PLACES_OF_ONE_MAX:
             raise Overloaded(
-                f"{owner} has {held} of the channel's {self._places} consumer places, and {PLACES_OF_ONE_MAX} is the "
-                "most for one caller; give some up with a lease of 0, or use fewer consumers",
-                metadata={"subject": owner, "used": str(held), "limit": str(PLACES_OF_ONE_MAX)},
+                f"{caller_name} has {held} of the channel's {self._places} consumer places, and {PLACES_OF_ONE_MAX} is "
+                "the most for one caller; give some up with a lease of 0, or use fewer consumers",
+                metadata={"subject": caller_name, "used": str(held), "limit": str(PLACES_OF_ONE_MAX)},
             )
 
     def renew(self, place: Place, until: int) -> None:
@@ -194,23 +196,23 @@ class PlaceTable:
         place.until = until
         self._leases.arm(place, until)
 
-    def set_owner(self, place: Place, owner: str) -> None:
+    def set_caller_name(self, place: Place, caller_name: str) -> None:
         """Set the name of the caller that has the place; empty if it is not known.
 
         The memory of the place counts for this caller.
         """
-        if place.owner != owner:
+        if place.caller_name != caller_name:
             place_bytes = CONSUMER_BYTES + CONSUMED_RANGE_BYTES * place.ranges
-            self._add_bytes(place.owner, -place_bytes)
-            self._add_bytes(owner, place_bytes)
-            place.owner = owner
+            self._add_bytes(place.caller_name, -place_bytes)
+            self._add_bytes(caller_name, place_bytes)
+            place.caller_name = caller_name
 
-    def _add_bytes(self, owner: str, more_bytes: int) -> None:
-        """Add `more_bytes`, which may be below 0, to the memory of the owner's places."""
-        if owner:
-            self._bytes_of[owner] += more_bytes
-            if not self._bytes_of[owner]:
-                del self._bytes_of[owner]
+    def _add_bytes(self, caller_name: str, more_bytes: int) -> None:
+        """Add `more_bytes`, which may be below 0, to the memory of the places of a caller."""
+        if caller_name:
+            self._bytes_of[caller_name] += more_bytes
+            if not self._bytes_of[caller_name]:
+                del self._bytes_of[caller_name]
 
     def give_up(self, place: Place, clock: int) -> None:
         """End the valid lease of a place now."""
@@ -230,7 +232,7 @@ class PlaceTable:
         """Count the ranges of the place anew."""
         ranges = 0 if place.done is None else place.done.range_count
         self._ranges += ranges - place.ranges
-        self._add_bytes(place.owner, CONSUMED_RANGE_BYTES * (ranges - place.ranges))
+        self._add_bytes(place.caller_name, CONSUMED_RANGE_BYTES * (ranges - place.ranges))
         place.ranges = ranges
 
     def enter_ended(self, consumer_id: int, until: int) -> None:
@@ -262,7 +264,7 @@ class PlaceTable:
         self._leases.disarm(place)
         place.done = None
         self.count_ranges(place)
-        self.set_owner(place, "")
+        self.set_caller_name(place, "")
         del self._taken[place.consumer_id]
 
     def _end(self, place: Place) -> None:

@@ -92,23 +92,23 @@ class Consumers:
         newest_seq: int | None,
         clock: int,
         lease: int,
-        owner: str = "",
+        caller_name: str = "",
     ) -> ConsumptionResult:
         """Note that a consumer has consumed `seqs`, and renew its place for `lease` nanoseconds.
 
         A lease of 0 gives the place up. `next_seq` is the seq of the next accepted item. `newest_seq` is the newest
-        item's seq, or None if no item is held. Call `check_consumption` first: it refuses invalid arguments. `owner` is
-        the name of the caller; if it is empty, the number of the caller's places has no limit. Raises ChannelFull if
-        all places are taken, and Overloaded if the caller has PLACES_OF_ONE_MAX places.
+        item's seq, or None if no item is held. Call `check_consumption` first: it refuses invalid arguments. If
+        `caller_name` is empty, the number of the caller's places has no limit. Raises ChannelFull if all places are
+        taken, and Overloaded if the caller has PLACES_OF_ONE_MAX places.
         """
         table = self.table
         if not lease and not seqs and not table.holds(consumer_id):
             return ConsumptionResult(0, 0)
-        if owner and not table.holds(consumer_id):
-            table.check_share(owner)
+        if caller_name and not table.holds(consumer_id):
+            table.check_share(caller_name)
         restart_seq = next_seq if newest_seq is None else newest_seq
         place, done = table.take(consumer_id, self._collected.below, restart_seq)
-        table.set_owner(place, owner)
+        table.set_caller_name(place, caller_name)
         self.changes += 1
         items, ranges = 0, _ranges(seqs)
         for first, end in ranges:
@@ -188,7 +188,7 @@ class Consumers:
             for known in self._collected.touching(1, next_seq) if place.done is not None else ():
                 done.add(*known)
             lease = 0 if place.done is None else place.until - clock
-            shown.append(ConsumerPlace(place.consumer_id, lease, done.below, done.ranges, place.owner))
+            shown.append(ConsumerPlace(place.consumer_id, lease, done.below, done.ranges, place.caller_name))
         return shown
 
     def standings(self, clock: int, next_seq: int) -> Pieces[list[ConsumerStanding]]:
@@ -229,7 +229,7 @@ class Consumers:
             if one.consumer_id and one.lease_nanos > 0:
                 done = SeqSet(one.consumed_below, one.consumed)
                 place = table.enter_live(one.consumer_id, done, clock + one.lease_nanos)
-                table.set_owner(place, one.owner)
+                table.set_caller_name(place, one.caller_name)
                 self._move_up(place, done)
             elif one.consumer_id:
                 table.enter_ended(one.consumer_id, clock - 1)

@@ -153,12 +153,12 @@ class OwnerFactsFeed:
         """The places, each in pieces of at most RANGES_PER_PART ranges. The places may change between two pieces."""
         for place in [] if consumers is None else consumers.table.in_order():
             if place.done is None:
-                yield ConsumerPlace(place.consumer_id, 0, 1, (), place.owner)
+                yield ConsumerPlace(place.consumer_id, 0, 1, (), place.caller_name)
                 continue
             below, ranges = place.done.below, _ranges(place, 0)
             while True:
                 lease = max(0, place.until - self._clock)
-                yield ConsumerPlace(place.consumer_id, lease, below, ranges, place.owner)
+                yield ConsumerPlace(place.consumer_id, lease, below, ranges, place.caller_name)
                 if not ranges or not (ranges := _ranges(place, ranges[-1][1])):
                     break
 
