@@ -468,7 +468,7 @@ MUTANTS = (
     Mutant(
         name="the_second_move_of_a_queue_counts",
         file=f"{SUPERNODE}/core/moves/transitions.py",
-        edits=(("    check_queue_epoch(queue, operation.epoch)\n    _check_permit", "    _check_permit"),),
+        edits=(("    check_queue_epoch(queue, operation.epoch)\n    _check_registration", "    _check_registration"),),
         noticed_by="tests/unit/supernode/core/replicas/test_transitions_of_queues.py",
     ),
     Mutant(
