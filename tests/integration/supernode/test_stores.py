@@ -92,7 +92,7 @@ async def test_a_member_with_an_older_copy_of_its_folder_is_refused_for_good_and
         shutil.rmtree(folder)
         shutil.copytree(copy, folder)
         code, printed = await command(*restored._arguments)
-        assert (code, "is an older copy" in printed, "join under a new id" in printed) == (1, True, True), printed
+        assert (code, "The folder is older" in printed, "join under a new id" in printed) == (1, True, True), printed
         code, printed = await command(*restored._arguments)
         assert (code, "cannot be used any more" in printed) == (1, True), printed
         await status_has(leader.address, f"{restored.name} is refused: '{restored.name}' comes with an older copy")
