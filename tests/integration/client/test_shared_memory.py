@@ -244,6 +244,8 @@ def test_a_host_keeps_nothing_of_a_killed_reader(own_cluster: LocalCluster) -> N
         return {one for one in found if one.startswith("socket:")}
 
     host = _host_pid(own_cluster)
+    with st.connect(own_cluster.address, transport="grpc") as rt:
+        rt.channel("ring/earlier").put(b"x")  # afterwards the host has all connections of its own
     before = sockets()
     script = (
         "import stampede_rt as st\n"
