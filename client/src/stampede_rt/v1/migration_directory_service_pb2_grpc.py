@@ -81,7 +81,8 @@ class MigrationDirectoryServiceServicer(object):
         held a replica, the former owner takes its place instead: it becomes a replica in sync, for which the new owner
         waits. The present owner itself may call this to end a move: it stays the owner, and its new epoch makes any other
         CommitMove of the former epoch fail. It needs no permit. Idempotent. Errors: WRONG_EPOCH, CHANNEL_NOT_FOUND,
-        HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED (also without the owner's permit).
+        HOST_NOT_FOUND, LEASE_EXPIRED (another boot or registration of that host), PERMISSION_DENIED (also without the
+        owner's permit).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -127,7 +128,8 @@ class MigrationDirectoryServiceServicer(object):
         present owner changes nothing meanwhile. The present owner's permit came with the last part of the queue
         (HandOverQueueResponse.permit), see CommitMove. The present owner itself may call this to end a move, as with
         CommitMove. A queue has no fallback: from this entry on, only the new owner has the messages. Idempotent. Errors:
-        WRONG_EPOCH, QUEUE_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
+        WRONG_EPOCH, QUEUE_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot or registration of that host),
+        PERMISSION_DENIED.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

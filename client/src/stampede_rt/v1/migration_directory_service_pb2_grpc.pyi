@@ -43,7 +43,8 @@ class MigrationDirectoryServiceStub:
     held a replica, the former owner takes its place instead: it becomes a replica in sync, for which the new owner
     waits. The present owner itself may call this to end a move: it stays the owner, and its new epoch makes any other
     CommitMove of the former epoch fail. It needs no permit. Idempotent. Errors: WRONG_EPOCH, CHANNEL_NOT_FOUND,
-    HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED (also without the owner's permit).
+    HOST_NOT_FOUND, LEASE_EXPIRED (another boot or registration of that host), PERMISSION_DENIED (also without the
+    owner's permit).
     """
     CommitMoves: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.CommitMovesRequest, _migration_directory_service_pb2.CommitMovesResponse]
     """Between hosts and supernodes only: as CommitMove, for several channels that move to one host, with one entry of the
@@ -69,7 +70,8 @@ class MigrationDirectoryServiceStub:
     present owner changes nothing meanwhile. The present owner's permit came with the last part of the queue
     (HandOverQueueResponse.permit), see CommitMove. The present owner itself may call this to end a move, as with
     CommitMove. A queue has no fallback: from this entry on, only the new owner has the messages. Idempotent. Errors:
-    WRONG_EPOCH, QUEUE_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
+    WRONG_EPOCH, QUEUE_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot or registration of that host),
+    PERMISSION_DENIED.
     """
 
 @_typing.type_check_only
@@ -87,7 +89,8 @@ class MigrationDirectoryServiceAsyncStub(MigrationDirectoryServiceStub):
     held a replica, the former owner takes its place instead: it becomes a replica in sync, for which the new owner
     waits. The present owner itself may call this to end a move: it stays the owner, and its new epoch makes any other
     CommitMove of the former epoch fail. It needs no permit. Idempotent. Errors: WRONG_EPOCH, CHANNEL_NOT_FOUND,
-    HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED (also without the owner's permit).
+    HOST_NOT_FOUND, LEASE_EXPIRED (another boot or registration of that host), PERMISSION_DENIED (also without the
+    owner's permit).
     """
     CommitMoves: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.CommitMovesRequest, _migration_directory_service_pb2.CommitMovesResponse]  # type: ignore[assignment]
     """Between hosts and supernodes only: as CommitMove, for several channels that move to one host, with one entry of the
@@ -113,7 +116,8 @@ class MigrationDirectoryServiceAsyncStub(MigrationDirectoryServiceStub):
     present owner changes nothing meanwhile. The present owner's permit came with the last part of the queue
     (HandOverQueueResponse.permit), see CommitMove. The present owner itself may call this to end a move, as with
     CommitMove. A queue has no fallback: from this entry on, only the new owner has the messages. Idempotent. Errors:
-    WRONG_EPOCH, QUEUE_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
+    WRONG_EPOCH, QUEUE_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot or registration of that host),
+    PERMISSION_DENIED.
     """
 
 class MigrationDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
@@ -134,7 +138,8 @@ class MigrationDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         held a replica, the former owner takes its place instead: it becomes a replica in sync, for which the new owner
         waits. The present owner itself may call this to end a move: it stays the owner, and its new epoch makes any other
         CommitMove of the former epoch fail. It needs no permit. Idempotent. Errors: WRONG_EPOCH, CHANNEL_NOT_FOUND,
-        HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED (also without the owner's permit).
+        HOST_NOT_FOUND, LEASE_EXPIRED (another boot or registration of that host), PERMISSION_DENIED (also without the
+        owner's permit).
         """
 
     @_abc_1.abstractmethod
@@ -190,7 +195,8 @@ class MigrationDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         present owner changes nothing meanwhile. The present owner's permit came with the last part of the queue
         (HandOverQueueResponse.permit), see CommitMove. The present owner itself may call this to end a move, as with
         CommitMove. A queue has no fallback: from this entry on, only the new owner has the messages. Idempotent. Errors:
-        WRONG_EPOCH, QUEUE_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
+        WRONG_EPOCH, QUEUE_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot or registration of that host),
+        PERMISSION_DENIED.
         """
 
 def add_MigrationDirectoryServiceServicer_to_server(servicer: MigrationDirectoryServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

@@ -13,7 +13,9 @@ import pytest
 
 from stampede_rt.errors import (
     ChannelNotFound,
+    HostNotFound,
     InvalidArgument,
+    LeaseExpired,
     Overloaded,
     PermissionDenied,
     StaleBinding,
@@ -152,6 +154,15 @@ async def test_a_drain_asks_again_if_its_host_has_ended_a_move_or_has_another_ep
     host = Host(error)
     assert await drained(1, host) == DrainResult(1, {})
     assert host.taken == [b"c0"]
+
+
+@pytest.mark.parametrize("error", [HostNotFound("its lease has ended"), LeaseExpired("it has registered again")])
+async def test_a_channel_goes_to_another_host_if_the_first_has_lost_its_lease_during_the_move(
+    error: StampedeError,
+) -> None:
+    first, other = Host(always=error), Host()
+    assert await drained(1, first, other) == DrainResult(1, {})
+    assert other.taken == [b"c0"]
 
 
 async def test_a_drain_ends_if_all_other_hosts_are_silent_and_lets_its_host_do_other_work(

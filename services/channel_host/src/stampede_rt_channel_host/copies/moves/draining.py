@@ -13,6 +13,8 @@ import grpc
 from stampede_rt.errors import (
     ChannelNotFound,
     DeadlineExceeded,
+    HostNotFound,
+    LeaseExpired,
     MoveConflict,
     Overloaded,
     PermissionDenied,
@@ -39,8 +41,8 @@ logger = logging.getLogger(__name__)
 Dial = Callable[[str], grpc.aio.Channel]
 NAMES_LOGGED_MAX = 20
 # After these errors another host, or later the same one, may take the channel. After StaleBinding this host has ended
-# the move, and tries again.
-_RETRYABLE = (Overloaded, Unavailable, DeadlineExceeded, MoveConflict, StaleBinding)
+# the move, and tries again. After HostNotFound and LeaseExpired the other host has lost its lease during the move.
+_RETRYABLE = (Overloaded, Unavailable, DeadlineExceeded, MoveConflict, StaleBinding, HostNotFound, LeaseExpired)
 RETRY_SECONDS_MIN, RETRY_SECONDS_MAX = 0.05, 1.0
 BEGIN_SECONDS_MAX = 2.0  # the drain tries another host if one has not begun a move after this time
 
