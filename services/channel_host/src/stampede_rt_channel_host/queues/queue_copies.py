@@ -121,6 +121,12 @@ class QueueCopies:
         copy.record, copy.owner_epoch, copy.last_message_nanos = record, record.epoch, time.monotonic_ns()
         copy.charge.set(copy.core.footprint_bytes + copy.journal.size_bytes)
 
+    def note_feed(self, queue_id: bytes) -> None:
+        """Note that a feed of the owner begins with the present copy, if there is one."""
+        copy = self._copies.get(queue_id)
+        if copy is not None:
+            copy.last_message_nanos = time.monotonic_ns()
+
     def with_silent_owner(self, seconds: float) -> list[QueueCopy]:
         """The copies whose owners were silent for this time."""
         latest = time.monotonic_ns() - int(seconds * 1e9)
@@ -142,6 +148,14 @@ class QueueCopies:
         extra = {"event": "queue_continued", "queue": display_name(record), "steps": copy.journal.next_step - 1}
         logger.info("this host goes on with a queue of which it had a replica", extra=extra)
         return QueueContent(copy.core, copy.journal, is_replicated=False)
+
+    def drop_silent(self, copy: QueueCopy, last_message_nanos: int) -> None:
+        """Drop the copy, unless its owner has sent something after `last_message_nanos`: then the owner may count on
+        the copy.
+        """
+        queue_id = copy.record.queue_id
+        if self._copies.get(queue_id) is copy and copy.last_message_nanos == last_message_nanos:
+            self.drop(queue_id)
 
     def drop(self, queue_id: bytes) -> None:
         """Drop the copy, if there is one."""

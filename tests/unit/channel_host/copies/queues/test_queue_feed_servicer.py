@@ -120,7 +120,7 @@ def test_a_copy_answers_a_step_that_surely_fits_before_it_repeats_the_step() -> 
 async def test_a_feed_that_ends_within_a_queue_leaves_no_bytes_in_the_budget() -> None:
     """In an earlier version, the host counted the parts that had come until it stopped, after each broken feed."""
     memory, owner = MemoryBudget(2**30), b"o" * 16
-    copies = SimpleNamespace(of=lambda queue_id: None, drop=lambda queue_id: None)
+    copies = SimpleNamespace(of=lambda queue_id: None, drop=lambda queue_id: None, note_feed=lambda queue_id: None)
     queues: Any = SimpleNamespace(
         copies=copies, memory=memory, known=lambda queue_id: None, check_may_serve=lambda: None
     )
@@ -154,7 +154,8 @@ async def test_a_replica_gives_signs_of_life_while_a_thread_restores_a_whole_que
             enough.set()
 
     copies = SimpleNamespace(
-        of=lambda queue_id: None, drop=lambda queue_id: None, begin=lambda *copy: begun.append(copy),
+        of=lambda queue_id: None, drop=lambda queue_id: None, note_feed=lambda queue_id: None,
+        begin=lambda *copy: begun.append(copy),
         restored=lambda record, state: enough.wait(10),
     )  # fmt: skip
     begun = list[Any]()

@@ -51,6 +51,7 @@ class QueueFeeds:
         record = recorded_queue(first.queue)
         await self._check(record, first.owner_host_id)
         feed = self._latest[record.queue_id] = _Feed(self._queues, record)
+        self._queues.copies.note_feed(record.queue_id)
         answer_in_same_turn(context, partial(self._take_in_same_turn, feed))
         try:
             await context.write(feed.place())

@@ -51,11 +51,11 @@ class QueueReplicaKeeper(KeeperTasks):
         while True:  # paced by the sleep
             await asyncio.sleep(SILENT_OWNER_SECONDS)
             for copy in self._queues.copies.with_silent_owner(SILENT_OWNER_SECONDS):
-                queue_id = copy.record.queue_id
+                queue_id, last_message_nanos = copy.record.queue_id, copy.last_message_nanos
                 try:
                     source = await self._directory.source_of(queue_id, self._identity.host_id)
                     if source is None:
-                        self._queues.copies.drop(queue_id)
+                        self._queues.copies.drop_silent(copy, last_message_nanos)
                     elif source.host_id == self._identity.host_id:
                         await self._queues.use(queue_id, None)
                 except StampedeError as error:
