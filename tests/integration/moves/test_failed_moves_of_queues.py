@@ -13,9 +13,7 @@ from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1 import migration_service_pb2_grpc
 from stampede_rt_channel_host.copies.queues import queue_arrivals, queue_handover
 from stampede_rt_channel_host.queues import queue_content
-from tests.support.channel_host.queue_rig import OpenedQueue, QueueRig, ack, host_of, queue_directory
-
-OTHER_ID = b"the-other-host-i"
+from tests.support.channel_host.queue_rig import OTHER_ID, OpenedQueue, QueueRig, ack, two_queue_hosts
 
 
 class Pair(NamedTuple):
@@ -52,13 +50,7 @@ class Pair(NamedTuple):
 
 @pytest.fixture
 async def pair() -> AsyncIterator[Pair]:
-    async with (
-        queue_directory() as directory,
-        host_of(directory) as source,
-        host_of(directory, host_id=OTHER_ID, name="h2", boot=8) as other,
-    ):
-        queue = source.open(lease_nanos=60 * 10**9)
-        await queue.put(b"a", b"b", b"c", number=1)
+    async with two_queue_hosts() as (source, other, queue):
         yield Pair(source, other, queue)
 
 

@@ -15,9 +15,7 @@ from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1.migration_service_pb2_grpc import MigrationServiceStub
 from stampede_rt_channel_host.cluster.records import recorded_queue
 from stampede_rt_channel_host.core.channel import run_to_end
-from tests.support.channel_host.queue_rig import OpenedQueue, QueueRig, host_of, queue_directory
-
-OTHER_ID = b"the-other-host-i"
+from tests.support.channel_host.queue_rig import OTHER_ID, OpenedQueue, QueueRig, two_queue_hosts
 
 
 class Move:
@@ -44,13 +42,7 @@ class Move:
 
 @pytest.fixture
 async def move() -> AsyncIterator[Move]:
-    async with (
-        queue_directory() as directory,
-        host_of(directory) as source,
-        host_of(directory, host_id=OTHER_ID, name="h2", boot=8) as other,
-    ):
-        queue = source.open(lease_nanos=60 * 10**9)
-        await queue.put(b"a", b"b", b"c", number=1)
+    async with two_queue_hosts() as (source, other, queue):
         yield Move(source, other, queue)
 
 

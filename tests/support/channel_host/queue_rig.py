@@ -22,6 +22,8 @@ from tests.support.channel_host.rig import payloads_of
 
 MS, S = 10**6, 10**9
 
+OTHER_ID = b"the-other-host-i"
+
 
 class QueueRig:
     """One host, its directory, and a connection to it."""
@@ -219,6 +221,19 @@ async def host_of(directory: FakeQueueDirectory, **settings: Any) -> AsyncIterat
     finally:
         await rig.connection.close(None)
         await started.stop()
+
+
+@asynccontextmanager
+async def two_queue_hosts() -> AsyncIterator[tuple[QueueRig, QueueRig, OpenedQueue]]:
+    """Yield two hosts, and a queue with three messages at the first one. The second one has the id OTHER_ID."""
+    async with (
+        queue_directory() as directory,
+        host_of(directory) as first,
+        host_of(directory, host_id=OTHER_ID, name="h2", boot=8) as second,
+    ):
+        queue = first.open(lease_nanos=60 * S)
+        await queue.put(b"a", b"b", b"c", number=1)
+        yield first, second, queue
 
 
 @asynccontextmanager
