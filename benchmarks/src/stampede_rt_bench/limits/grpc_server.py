@@ -56,7 +56,8 @@ class GrpcRelay(grpc.GenericRpcHandler):
             await context.write(b"")
             while True:
                 try:
-                    message = await asyncio.wait_for(queue.get(), LOOK_SECONDS) if queue.empty() else queue.get_nowait()
+                    async with asyncio.timeout(LOOK_SECONDS if queue.empty() else None):
+                        message = await queue.get()
                 except TimeoutError:
                     message = b""
                 await context.write(message)

@@ -95,7 +95,8 @@ async def result_of(future: Future[Result], timeout_s: float | None) -> Result:
 
     If the wait ends early, cancels the call, unless it is being performed.
     """
-    return await asyncio.wait_for(asyncio.wrap_future(future), timeout_s)
+    async with asyncio.timeout(timeout_s):
+        return await asyncio.wrap_future(future)
 
 
 async def run_all(operations: Sequence[Callable[[], Awaitable[Result]]]) -> list[Result]:

@@ -72,7 +72,7 @@ class ServerStream(Generic[Response]):
             if not self._cancelled:
                 raise_from_rpc_error(error, self._target)
         except asyncio.CancelledError:
-            if not self._cancelled and is_cancelled():
+            if is_cancelled():  # also if `cancel` was called in the same turn of the loop
                 self._call.cancel()
                 raise
             if not self._cancelled:

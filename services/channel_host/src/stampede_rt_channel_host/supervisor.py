@@ -149,7 +149,8 @@ class Supervisor:
             extra={"event": "host_process_ended", "number": number, "exit_status": status, "pause_s": pause_s},
         )
         with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self._stopping.wait(), pause_s)
+            async with asyncio.timeout(pause_s):
+                await self._stopping.wait()
 
     def _end(self, status: int) -> None:
         """End all processes. The first status other than 0 becomes the exit status."""

@@ -203,7 +203,8 @@ async def _until(work: Awaitable[Any], hurry: asyncio.Event) -> None:
 
 async def _bounded(work: Awaitable[Any]) -> None:
     try:
-        await asyncio.wait_for(work, DRAIN_SECONDS)
+        async with asyncio.timeout(DRAIN_SECONDS):
+            await work
     except TimeoutError:
         logger.warning(
             "streams did not end in time; the server ends them",

@@ -123,7 +123,8 @@ class LeaseThread:
             loop.call_soon_threadsafe(loop.stop)
             # a helper thread cannot wait here: an interpreter that is ending starts no thread
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._ended.wait(), STOP_SECONDS_MAX)
+                async with asyncio.timeout(STOP_SECONDS_MAX):
+                    await self._ended.wait()
 
     def _started(self) -> tuple[Registration, asyncio.AbstractEventLoop]:
         if self._registration is None or self._loop is None:
