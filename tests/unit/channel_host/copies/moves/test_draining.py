@@ -53,6 +53,7 @@ class Host(migration_service_pb2_grpc.MigrationServiceServicer):
         self.errors, self.always, self.is_frozen, self.has_archive = [*errors], always, is_frozen, has_archive
         self.taken: list[bytes] = []
         self.is_allowed: Callable[[bytes], bool] = lambda channel_id: False
+        self.has_begun = asyncio.Event()
 
     def add_to(self, server: grpc.aio.Server) -> None:
         migration_service_pb2_grpc.add_MigrationServiceServicer_to_server(self, server)
@@ -68,6 +69,7 @@ class Host(migration_service_pb2_grpc.MigrationServiceServicer):
         return pb.MoveHereResponse()
 
     async def _take(self, channel_id: bytes) -> None:
+        self.has_begun.set()
         if self.is_frozen:
             await asyncio.get_running_loop().create_future()
         if self.always is not None or self.errors:
@@ -173,6 +175,21 @@ async def test_a_drain_ends_if_all_other_hosts_are_silent_and_lets_its_host_do_o
     monkeypatch.setattr("tests.unit.channel_host.copies.moves.test_draining.SECONDS_MAX", 1.0)
     left = (await drained(1, Host(is_frozen=True), Host(is_frozen=True))).left
     assert [*left] == ["cam/0"]
+
+
+async def test_a_cancelled_drain_logs_the_channels_that_have_not_moved(caplog: pytest.LogCaptureFixture) -> None:
+    """In an earlier version, a host that got a second signal lost its channels without a line in the log."""
+    frozen = Host(is_frozen=True)
+    draining_task = asyncio.create_task(drained(3, frozen, is_last=True))
+    async with asyncio.timeout(20):
+        await frozen.has_begun.wait()
+    draining_task.cancel()
+    await asyncio.wait({draining_task})
+    assert draining_task.cancelled()
+    assert caplog.messages == [
+        "3 channels could not move to another host (the drain ended before the move); the host stops, and items that "
+        "no other host has are lost"
+    ]
 
 
 async def test_a_drain_leaves_a_channel_that_no_host_may_take() -> None:

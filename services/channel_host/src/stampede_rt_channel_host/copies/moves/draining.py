@@ -151,21 +151,23 @@ class HostDrain:
     async def run(self, seconds: float, *, is_last: bool = False) -> DrainResult:
         """Move all channels and queues away. Ends after `seconds`, even if some have not moved. Raises nothing.
 
+        The log names the channels and queues that have not moved, also if the caller cancels this call.
         `is_last`: the host stops after this call, and the items in its memory are lost.
         """
         own = self._own()
-        left = dict.fromkeys(own, "the time was over")
-        if own:
-            try:
-                async with asyncio.timeout(seconds):
+        left = dict.fromkeys(own, "the drain ended before the move")
+        try:
+            async with asyncio.timeout(seconds):
+                if own:
                     await self._move_all(own, left)
-            except TimeoutError:
-                pass
-            except StampedeError as error:
-                left = dict.fromkeys(left, str(error))
-        drained = DrainResult(len(own) - len(left), {own[one].name: why for one, why in left.items()})
-        _log_outcome(drained.moved, {own[one]: why for one, why in left.items()}, is_last=is_last)
-        return drained
+        except TimeoutError:
+            pass
+        except StampedeError as error:
+            left.update(dict.fromkeys(left, str(error)))
+        finally:  # also if a second signal cancels the drain
+            moved = len(own) - len(left)
+            _log_outcome(moved, {own[one]: why for one, why in left.items()}, is_last=is_last)
+        return DrainResult(moved, {own[one].name: why for one, why in left.items()})
 
     def _own(self) -> dict[bytes, _OwnSubject]:
         """The channels and queues that this host owns, by id."""
