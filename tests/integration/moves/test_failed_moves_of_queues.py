@@ -80,7 +80,7 @@ async def test_a_move_that_is_cut_before_the_commit_leaves_the_queue_where_it_wa
     def fail(*_: Any) -> Any:
         raise queue_arrivals.Unavailable("the other host has a defect")
 
-    monkeypatch.setattr(queue_arrivals.QueueArrivals, "_restored", fail)
+    monkeypatch.setattr(queue_arrivals.QueueArrivals, "_take_over", fail)
     with pytest.raises(grpc.aio.AioRpcError, match="has a defect"):
         await pair.begin_move()
     status = await pair.queue.status()  # waits for the end of the move
@@ -92,14 +92,32 @@ async def test_a_move_that_is_cut_before_the_commit_leaves_the_queue_where_it_wa
     ]
 
 
+async def test_a_move_that_fails_while_the_queue_is_copied_changes_nothing(
+    pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The source holds the queue only when the other host has a copy of it."""
+
+    def fail(*_: Any) -> Any:
+        raise queue_arrivals.Unavailable("the other host has a defect")
+
+    monkeypatch.setattr(queue_arrivals.QueueArrivals, "_restored", fail)
+    taker = await pair.queue.take(taker_id=5).open()
+    with pytest.raises(grpc.aio.AioRpcError, match="has a defect"):
+        await pair.begin_move()
+    await taker.send(credit=1)
+    assert [one.payload for one in await taker.deliveries(1)] == [b"a"]
+    assert pair.at_source().record.epoch == 1
+    taker.call.cancel()
+
+
 async def test_a_host_without_an_answer_to_its_commit_asks_the_directory(
     pair: Pair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The host may not take the queue back, because the other host serves the queue."""
     served = queue_handover.QueueHandovers._hand_over
 
-    async def lose_answer(self: Any, hosted: Any, host_id: bytes, context: Any) -> bool:
-        await served(self, hosted, host_id, context)
+    async def lose_answer(*arguments: Any) -> bool:
+        await served(*arguments)
         return False
 
     monkeypatch.setattr(queue_handover.QueueHandovers, "_hand_over", lose_answer)

@@ -58,7 +58,7 @@ class Moves(Proxies):
         meanwhile, because the whole queue moves in one step. Takers keep their leases, and settle at the new host. If
         the queue is at that host already, the call returns immediately. Raises QueueNotFound, HostNotFound,
         PermissionDenied without the right to configure the queue, Overloaded if 8 queues move from or to one host,
-        Unavailable if the queue does not arrive within 5 s, and DeadlineExceeded (the move then continues).
+        Unavailable if its copy takes longer than 60 s, and DeadlineExceeded (the move then continues).
         """
         deadline_s = monotonic_s() + parse_duration(timeout, "timeout") / 1e9
 

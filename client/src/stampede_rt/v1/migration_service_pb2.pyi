@@ -92,12 +92,14 @@ class MoveOutcome(_message.Message):
     def __init__(self, channel_id: _Optional[bytes] = ..., error: _Optional[_Union[_error_pb2.Error, _Mapping]] = ...) -> None: ...
 
 class HandOverQueueRequest(_message.Message):
-    __slots__ = ("open", "committed_epoch")
+    __slots__ = ("open", "committed_epoch", "has_copy")
     OPEN_FIELD_NUMBER: _ClassVar[int]
     COMMITTED_EPOCH_FIELD_NUMBER: _ClassVar[int]
+    HAS_COPY_FIELD_NUMBER: _ClassVar[int]
     open: HandOverQueueOpen
     committed_epoch: int
-    def __init__(self, open: _Optional[_Union[HandOverQueueOpen, _Mapping]] = ..., committed_epoch: _Optional[int] = ...) -> None: ...
+    has_copy: bool
+    def __init__(self, open: _Optional[_Union[HandOverQueueOpen, _Mapping]] = ..., committed_epoch: _Optional[int] = ..., has_copy: bool = ...) -> None: ...
 
 class FeedQueueRequest(_message.Message):
     __slots__ = ("owner_host_id", "queue", "begins_anew", "parts", "put")
@@ -164,17 +166,19 @@ class FeedQueueResponse(_message.Message):
     def __init__(self, next_step: _Optional[int] = ..., incarnation: _Optional[int] = ..., owner_epoch: _Optional[int] = ..., takes_changes: bool = ..., takes_puts: bool = ..., put_next_step: _Optional[int] = ...) -> None: ...
 
 class HandOverQueueOpen(_message.Message):
-    __slots__ = ("queue_id", "epoch", "host_id")
+    __slots__ = ("queue_id", "epoch", "host_id", "takes_steps")
     QUEUE_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
+    TAKES_STEPS_FIELD_NUMBER: _ClassVar[int]
     queue_id: bytes
     epoch: int
     host_id: bytes
-    def __init__(self, queue_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ...) -> None: ...
+    takes_steps: bool
+    def __init__(self, queue_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., takes_steps: bool = ...) -> None: ...
 
 class HandOverQueueResponse(_message.Message):
-    __slots__ = ("facts", "runs", "more_body", "held", "messages", "acknowledged", "producers", "message_ids", "ends", "permit")
+    __slots__ = ("facts", "runs", "more_body", "held", "messages", "acknowledged", "producers", "message_ids", "ends", "permit", "steps_follow", "steps", "is_held", "held_nanos")
     FACTS_FIELD_NUMBER: _ClassVar[int]
     RUNS_FIELD_NUMBER: _ClassVar[int]
     MORE_BODY_FIELD_NUMBER: _ClassVar[int]
@@ -185,6 +189,10 @@ class HandOverQueueResponse(_message.Message):
     MESSAGE_IDS_FIELD_NUMBER: _ClassVar[int]
     ENDS_FIELD_NUMBER: _ClassVar[int]
     PERMIT_FIELD_NUMBER: _ClassVar[int]
+    STEPS_FOLLOW_FIELD_NUMBER: _ClassVar[int]
+    STEPS_FIELD_NUMBER: _ClassVar[int]
+    IS_HELD_FIELD_NUMBER: _ClassVar[int]
+    HELD_NANOS_FIELD_NUMBER: _ClassVar[int]
     facts: HandedQueueFacts
     runs: _containers.RepeatedCompositeFieldContainer[HandedRun]
     more_body: bytes
@@ -195,7 +203,11 @@ class HandOverQueueResponse(_message.Message):
     message_ids: _containers.RepeatedCompositeFieldContainer[HandedMessageId]
     ends: bool
     permit: bytes
-    def __init__(self, facts: _Optional[_Union[HandedQueueFacts, _Mapping]] = ..., runs: _Optional[_Iterable[_Union[HandedRun, _Mapping]]] = ..., more_body: _Optional[bytes] = ..., held: _Optional[_Iterable[_Union[_subject_pb2.SeqRange, _Mapping]]] = ..., messages: _Optional[_Iterable[_Union[HandedMessage, _Mapping]]] = ..., acknowledged: _Optional[_Iterable[_Union[HandedAcknowledgement, _Mapping]]] = ..., producers: _Optional[_Iterable[_Union[_replica_service_pb2.FedProducer, _Mapping]]] = ..., message_ids: _Optional[_Iterable[_Union[HandedMessageId, _Mapping]]] = ..., ends: bool = ..., permit: _Optional[bytes] = ...) -> None: ...
+    steps_follow: bool
+    steps: _containers.RepeatedCompositeFieldContainer[FedQueuePart]
+    is_held: bool
+    held_nanos: int
+    def __init__(self, facts: _Optional[_Union[HandedQueueFacts, _Mapping]] = ..., runs: _Optional[_Iterable[_Union[HandedRun, _Mapping]]] = ..., more_body: _Optional[bytes] = ..., held: _Optional[_Iterable[_Union[_subject_pb2.SeqRange, _Mapping]]] = ..., messages: _Optional[_Iterable[_Union[HandedMessage, _Mapping]]] = ..., acknowledged: _Optional[_Iterable[_Union[HandedAcknowledgement, _Mapping]]] = ..., producers: _Optional[_Iterable[_Union[_replica_service_pb2.FedProducer, _Mapping]]] = ..., message_ids: _Optional[_Iterable[_Union[HandedMessageId, _Mapping]]] = ..., ends: bool = ..., permit: _Optional[bytes] = ..., steps_follow: bool = ..., steps: _Optional[_Iterable[_Union[FedQueuePart, _Mapping]]] = ..., is_held: bool = ..., held_nanos: _Optional[int] = ...) -> None: ...
 
 class HandedQueueFacts(_message.Message):
     __slots__ = ("next_seq", "next_delivery_id", "counters", "next_step")

@@ -108,10 +108,13 @@ class MigrationServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def HandOverQueue(self, request_iterator, context):
-        """Between hosts only: hand a queue or mailbox over to the calling host. This host ends the streams of all callers,
-        makes all calls wait, and sends the whole queue in parts. It then waits for `committed_epoch`. If the stream ends
-        without it, this host asks the directory who owns the queue, and serves it again if it is the owner. Errors:
-        WRONG_EPOCH, NOT_HERE, MOVE_CONFLICT, OVERLOADED (8 moves from this host are under way; the streams did not end),
+        """Between hosts only: hand a queue or mailbox over to the calling host. This host sends the whole queue in parts while
+        it serves the queue. After `has_copy` it sends the steps since then. It then ends the streams of all callers, makes
+        all calls wait, sends the last steps, and waits for `committed_epoch`. If the stream ends without it, this host asks
+        the directory who owns the queue, and serves it again if it is the owner. If the calling host does not state
+        `takes_steps`, this host makes all calls wait before it sends the queue. Errors: WRONG_EPOCH, NOT_HERE (also if
+        another move of the queue is under way), OVERLOADED (8 moves from this host are under way; the streams did not end;
+        the queue changes faster than the copy), UNAVAILABLE (the queue has begun or stopped to have replicas),
         SHUTTING_DOWN.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)

@@ -57,10 +57,13 @@ class MigrationServiceStub:
     the stream: INVALID_ARGUMENT, SHUTTING_DOWN, PERMISSION_DENIED.
     """
     HandOverQueue: _grpc.StreamStreamMultiCallable[_migration_service_pb2.HandOverQueueRequest, _migration_service_pb2.HandOverQueueResponse]
-    """Between hosts only: hand a queue or mailbox over to the calling host. This host ends the streams of all callers,
-    makes all calls wait, and sends the whole queue in parts. It then waits for `committed_epoch`. If the stream ends
-    without it, this host asks the directory who owns the queue, and serves it again if it is the owner. Errors:
-    WRONG_EPOCH, NOT_HERE, MOVE_CONFLICT, OVERLOADED (8 moves from this host are under way; the streams did not end),
+    """Between hosts only: hand a queue or mailbox over to the calling host. This host sends the whole queue in parts while
+    it serves the queue. After `has_copy` it sends the steps since then. It then ends the streams of all callers, makes
+    all calls wait, sends the last steps, and waits for `committed_epoch`. If the stream ends without it, this host asks
+    the directory who owns the queue, and serves it again if it is the owner. If the calling host does not state
+    `takes_steps`, this host makes all calls wait before it sends the queue. Errors: WRONG_EPOCH, NOT_HERE (also if
+    another move of the queue is under way), OVERLOADED (8 moves from this host are under way; the streams did not end;
+    the queue changes faster than the copy), UNAVAILABLE (the queue has begun or stopped to have replicas),
     SHUTTING_DOWN.
     """
     FeedQueue: _grpc.StreamStreamMultiCallable[_migration_service_pb2.FeedQueueRequest, _migration_service_pb2.FeedQueueResponse]
@@ -105,10 +108,13 @@ class MigrationServiceAsyncStub(MigrationServiceStub):
     the stream: INVALID_ARGUMENT, SHUTTING_DOWN, PERMISSION_DENIED.
     """
     HandOverQueue: _aio.StreamStreamMultiCallable[_migration_service_pb2.HandOverQueueRequest, _migration_service_pb2.HandOverQueueResponse]  # type: ignore[assignment]
-    """Between hosts only: hand a queue or mailbox over to the calling host. This host ends the streams of all callers,
-    makes all calls wait, and sends the whole queue in parts. It then waits for `committed_epoch`. If the stream ends
-    without it, this host asks the directory who owns the queue, and serves it again if it is the owner. Errors:
-    WRONG_EPOCH, NOT_HERE, MOVE_CONFLICT, OVERLOADED (8 moves from this host are under way; the streams did not end),
+    """Between hosts only: hand a queue or mailbox over to the calling host. This host sends the whole queue in parts while
+    it serves the queue. After `has_copy` it sends the steps since then. It then ends the streams of all callers, makes
+    all calls wait, sends the last steps, and waits for `committed_epoch`. If the stream ends without it, this host asks
+    the directory who owns the queue, and serves it again if it is the owner. If the calling host does not state
+    `takes_steps`, this host makes all calls wait before it sends the queue. Errors: WRONG_EPOCH, NOT_HERE (also if
+    another move of the queue is under way), OVERLOADED (8 moves from this host are under way; the streams did not end;
+    the queue changes faster than the copy), UNAVAILABLE (the queue has begun or stopped to have replicas),
     SHUTTING_DOWN.
     """
     FeedQueue: _aio.StreamStreamMultiCallable[_migration_service_pb2.FeedQueueRequest, _migration_service_pb2.FeedQueueResponse]  # type: ignore[assignment]
@@ -174,10 +180,13 @@ class MigrationServiceServicer(metaclass=_abc_1.ABCMeta):
         request_iterator: _MaybeAsyncIterator[_migration_service_pb2.HandOverQueueRequest],
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_migration_service_pb2.HandOverQueueResponse], _abc.AsyncIterator[_migration_service_pb2.HandOverQueueResponse]]:
-        """Between hosts only: hand a queue or mailbox over to the calling host. This host ends the streams of all callers,
-        makes all calls wait, and sends the whole queue in parts. It then waits for `committed_epoch`. If the stream ends
-        without it, this host asks the directory who owns the queue, and serves it again if it is the owner. Errors:
-        WRONG_EPOCH, NOT_HERE, MOVE_CONFLICT, OVERLOADED (8 moves from this host are under way; the streams did not end),
+        """Between hosts only: hand a queue or mailbox over to the calling host. This host sends the whole queue in parts while
+        it serves the queue. After `has_copy` it sends the steps since then. It then ends the streams of all callers, makes
+        all calls wait, sends the last steps, and waits for `committed_epoch`. If the stream ends without it, this host asks
+        the directory who owns the queue, and serves it again if it is the owner. If the calling host does not state
+        `takes_steps`, this host makes all calls wait before it sends the queue. Errors: WRONG_EPOCH, NOT_HERE (also if
+        another move of the queue is under way), OVERLOADED (8 moves from this host are under way; the streams did not end;
+        the queue changes faster than the copy), UNAVAILABLE (the queue has begun or stopped to have replicas),
         SHUTTING_DOWN.
         """
 

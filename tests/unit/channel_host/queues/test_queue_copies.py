@@ -6,15 +6,12 @@ import asyncio
 from dataclasses import replace
 from itertools import pairwise
 
-import pytest
-
-from stampede_rt.errors import Overloaded
 from stampede_rt.values.queueing import QueuePolicy
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.core.queue.queue import EMPTIED_PER_PIECE
 from stampede_rt_channel_host.core.records import RecordedQueue
-from stampede_rt_channel_host.queues.queue_content import KeptQueue, QueueMove
+from stampede_rt_channel_host.queues.queue_content import KeptQueue
 from stampede_rt_channel_host.queues.queue_copies import QueueCopies
 from tests.support.channel_host.queue_cores import Core
 
@@ -28,14 +25,14 @@ RECORD = RecordedQueue(
 class Replica:
     """A copy of a queue with one leased message, whose lease ends at `ends`."""
 
-    def __init__(self, bytes_max: int = 2**20) -> None:
+    def __init__(self) -> None:
         owner = Core()
         owner.put(1)
         owner.taker(credit=1, lease_nanos=30 * S)
         owner.queue.take_batches()
         self.now = owner.now
         (self.lease,) = owner.queue.pending(0, 9, self.now)
-        self.memory = MemoryBudget(bytes_max)
+        self.memory = MemoryBudget(2**20)
         self.copies = QueueCopies(self.memory, lambda: self.now, lambda: True, PieceScheduler())
         self.core = self.copies.restored(RECORD, owner.queue.export(self.now))
 
@@ -61,41 +58,21 @@ async def test_a_copy_of_another_incarnation_is_dropped_and_not_inherited() -> N
 
 def test_the_copy_of_a_former_owner_counts_its_leases_from_the_hold() -> None:
     replica = Replica()
-    charge = replica.copies.room_for(RECORD, replica.core, 0)
-    replica.copies.keep(RECORD, KeptQueue(replica.core, 2, 7, charge))
+    replica.copies.keep(RECORD, KeptQueue(replica.core, 2, 7))
     copy = replica.copies.of(RECORD.queue_id)
     assert copy is not None
     assert (copy.last_message_nanos, copy.journal.next_step, copy.owner_epoch) == (7, 2, 1)
 
 
-def test_without_room_a_former_owner_gets_no_copy_before_the_queue_has_moved() -> None:
-    replica = Replica(bytes_max=1)
-    with pytest.raises(Overloaded):
-        replica.copies.room_for(RECORD, replica.core, 0)
-
-
-async def test_the_copy_of_a_former_owner_counts_in_the_memory_of_the_host_and_then_needs_no_more_room() -> None:
+async def test_the_copy_of_a_former_owner_needs_no_room_although_the_host_is_full() -> None:
     """In an earlier version, the host refused the copy after the move, although the directory knew it as in sync."""
     replica = Replica()
-    footprint_bytes = replica.core.footprint_bytes
-    charge = replica.copies.room_for(RECORD, replica.core, 20)
-    assert replica.memory.used_bytes == footprint_bytes - 20
-    move = QueueMove()
-    move.kept = KeptQueue(replica.core, 2, 7, charge)
     replica.memory.bytes_max = 1
-    replica.copies.keep(RECORD, move.kept)
-    assert replica.memory.used_bytes == footprint_bytes
+    replica.copies.keep(RECORD, KeptQueue(replica.core, 2, 7))
+    assert replica.memory.used_bytes == replica.core.footprint_bytes
     assert replica.copies.of(RECORD.queue_id) is not None
     replica.copies.drop(RECORD.queue_id)
     assert replica.memory.used_bytes == 0
-
-
-def test_a_move_that_fails_frees_the_memory_of_the_copy() -> None:
-    replica = Replica()
-    move = QueueMove()
-    move.kept = KeptQueue(replica.core, 2, 7, replica.copies.room_for(RECORD, replica.core, 0))
-    move.free()
-    assert (move.kept, replica.memory.used_bytes) == (None, 0)
 
 
 async def test_a_dropped_copy_is_freed_in_pieces() -> None:

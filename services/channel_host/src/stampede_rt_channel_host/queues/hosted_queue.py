@@ -19,7 +19,6 @@ from stampede_rt_channel_host.core.queue import (
     Enqueue,
     PendingDelivery,
     QueueCore,
-    QueueHandoff,
     QueueLimits,
     Settlement,
     SettlementResult,
@@ -98,9 +97,9 @@ class HostedQueue(ReplicatedQueue):
         self._waiting: dict[Enqueue, asyncio.Future[None]] = {}
         self._timer: asyncio.TimerHandle | None = None
         self._timer_due: int | None = None
-        self._is_forgotten = False
         self.replicate(content)
         if content is not None:
+            self.queue.resume(now())  # the queue was paused if this host held it for a move before
             self.queue.configure(QueueLimits.of(record.policy), now())
             self.follow_up()
 
@@ -120,7 +119,6 @@ class HostedQueue(ReplicatedQueue):
             self.replication.own_again(record.epoch)
         if moving is not None:  # the move has failed
             self.queue.resume(self._now())
-            moving.free()
             moving.over.set()
         self.follow_up()
 
@@ -139,15 +137,6 @@ class HostedQueue(ReplicatedQueue):
         except TimeoutError:
             raise Overloaded(f"the streams of queue {display_name(self.record)} did not end; move it again") from None
         self.moving.is_held = True
-
-    async def exported(self) -> QueueHandoff:
-        """The whole queue; call `hold` before. A thread does this work, because it takes a microsecond a message."""
-        assert self.moving is not None, "the queue is held"
-        self.moving.is_exporting = True
-        try:
-            return await asyncio.to_thread(self.queue.export, self._now())
-        finally:
-            self.moving.is_exporting = False
 
     @property
     def is_held(self) -> bool:
@@ -290,7 +279,9 @@ class HostedQueue(ReplicatedQueue):
                 yield
 
     def leaving(self, error: StampedeError) -> Pieces[None]:
-        """End like `ending`, and then free the messages. The host gives the queue up, and stops counting its memory."""
+        """End like `ending`, and then free the messages, unless the host keeps them as a replica. The host gives the
+        queue up, and stops counting its memory.
+        """
         self._is_forgotten = True
         if self._timer is not None:
             self._timer.cancel()
@@ -303,16 +294,17 @@ class HostedQueue(ReplicatedQueue):
             self.replication.close()
         yield from self.ending(error)
         yield  # afterwards the interrupted streams do not use the queue any more
-        while self.moving is not None and self.moving.is_exporting:
-            yield
         if self.replication is not None:
             yield from self.replication.journal.stopping()
-        yield from self.queue.emptying()
+        if not self.is_kept:
+            yield from self.queue.emptying()
 
     def follow_up(self) -> None:
         """Pass the results of a call of the core on to streams and waiting runs, and set the next deadline."""
         if self.replication is not None:
             self.replication.changed(self._now())
+        elif self.copying is not None:
+            self.copying.changed(self._now())
         for taker, batch in self.queue.take_batches():
             self.once_replicated(taker, partial(self._streams[taker].deliver, batch))
         for taker in self.queue.take_silent():
@@ -324,6 +316,7 @@ class HostedQueue(ReplicatedQueue):
         if self._is_forgotten:
             return
         steps_bytes = 0 if self.replication is None else self.replication.journal.size_bytes
+        steps_bytes += 0 if self.copying is None else self.copying.steps.size_bytes
         self._charge.set(self.queue.footprint_bytes + steps_bytes)
         if self.queue.has_dead_letters:
             self._on_dead_letters(self)

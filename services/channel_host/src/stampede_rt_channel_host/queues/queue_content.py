@@ -6,7 +6,6 @@ import asyncio
 from typing import NamedTuple
 
 from stampede_rt.errors import Overloaded, StampedeError
-from stampede_rt_channel_host.channels.limits.memory import Charge
 from stampede_rt_channel_host.channels.move_under_way import HELD_SECONDS_MAX
 from stampede_rt_channel_host.core.queue import QueueCore, QueueJournal
 
@@ -23,35 +22,27 @@ class QueueContent(NamedTuple):
 
 
 class KeptQueue(NamedTuple):
-    """The replica that the former owner of a queue becomes. `made_nanos`: the time of the hold, by a steady clock.
+    """The replica that the former owner of a queue becomes: the queue itself, as it was held.
 
-    The leases of `core` are as of that time. `charge`: the memory that only the replica uses. The replica shares the
-    messages with the queue.
+    `held_nanos`: the time of the hold, by a steady clock. From then on, its leases do not count the time.
     """
 
     core: QueueCore
     next_step: int
-    made_nanos: int
-    charge: Charge
+    held_nanos: int
 
 
 class QueueMove:
     """A move of a queue to another host. `redirect_error`: the error that sends callers there after the move.
 
-    `kept`: the copy that stays here if the queue moves; None: the queue has no replicas, or has not been handed over.
+    `kept`: the queue becomes this replica if it moves; None: it has no replicas, or has not been handed over.
     """
 
     def __init__(self) -> None:
-        self.is_held = self.is_exporting = False
+        self.is_held = False
         self.kept: KeptQueue | None = None
         self.redirect_error: StampedeError | None = None
         self.over = asyncio.Event()
-
-    def free(self) -> None:
-        """Drop the copy, because the queue has not moved to another host."""
-        if self.kept is not None:
-            self.kept.charge.set(0)
-        self.kept = None
 
     async def decided(self, queue: str) -> None:
         """Wait for the end of the move, for HELD_SECONDS_MAX at most. `queue`: its name, for people.

@@ -75,35 +75,24 @@ class QueueCopies:
 
     def begin(self, record: RecordedQueue, core: QueueCore, next_step: int) -> QueueCopy:
         """Keep a new copy. It replaces a former one. Raises Overloaded if there is no room for it."""
-        self._check_number()
+        self.check_number()
         self.drop(record.queue_id)
         charge = self._memory.charge_for(record.created_by)
         charge.claim(core.footprint_bytes)
         return self._added(record, QueueCopy(record, core, next_step, charge))
 
-    def room_for(self, record: RecordedQueue, core: QueueCore, shared_bytes: int) -> Charge:
-        """The memory of a copy that the owner of a queue makes while it still has the queue.
-
-        `shared_bytes`: the bytes of the messages, which the copy shares with the queue. Raises Overloaded if there is
-        no room.
-        """
-        self._check_number()
-        charge = self._memory.charge_for(record.created_by)
-        own_bytes = max(0, core.footprint_bytes - shared_bytes)
-        charge.claim(own_bytes)
-        charge.set(own_bytes)
-        return charge
-
     def keep(self, record: RecordedQueue, kept: KeptQueue) -> None:
-        """Keep the copy that the former owner of a moved queue has made.
+        """Keep the queue that has moved away as a copy.
 
         This never fails, because the directory has the copy as in sync. The copy takes over the memory of the queue.
         """
         self.drop(record.queue_id)
-        copy = self._added(record, QueueCopy(record, kept.core, kept.next_step, kept.charge))
-        copy.last_message_nanos = kept.made_nanos
+        charge = self._memory.charge_for(record.created_by)
+        copy = self._added(record, QueueCopy(record, kept.core, kept.next_step, charge))
+        copy.last_message_nanos = kept.held_nanos
 
-    def _check_number(self) -> None:
+    def check_number(self) -> None:
+        """Raises Overloaded if this host has COPIES_MAX replicas of queues."""
         if len(self._copies) >= COPIES_MAX:
             raise Overloaded(f"this host has {COPIES_MAX} replicas of queues, the limit; use another host")
 

@@ -342,9 +342,11 @@ class QueueStore:
             return []
         self._creation_shares.note(hosted.record.created_by, -1)
         add_counts(self.departed, hosted)
+        kept = None
+        if error.reason == "MOVED" and hosted.moving is not None:
+            kept = hosted.moving.kept
+        hosted.is_kept = kept is not None
         rest = rest_of(hosted.leaving(error))
-        if error.reason == "MOVED" and hosted.moving is not None and hosted.moving.kept is not None:
-            self.copies.keep(hosted.record, hosted.moving.kept)
-        elif hosted.moving is not None:
-            hosted.moving.free()
+        if kept is not None:
+            self.copies.keep(hosted.record, kept)
         return rest

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stampede_rt.errors import QueueNotFound, StampedeError, error_for
+from stampede_rt.errors import QueueNotFound, StampedeError, Unavailable, error_for
 from stampede_rt_channel_host.core.records import RecordedQueue
 
 SHUTTING_DOWN = error_for(
@@ -49,6 +49,14 @@ def is_moving(record: RecordedQueue) -> StampedeError:
     """The error for calls and streams of a queue that moves to another host."""
     name = display_name(record)
     return error_for("NOT_HERE", f"queue {name} is moving to another host; resolve it again", {"queue": name})
+
+
+def has_lost_steps(record: RecordedQueue) -> StampedeError:
+    """The error for a move whose copy lacks steps of the queue."""
+    return Unavailable(
+        f"queue {display_name(record)} changes faster than the copy of its move, or has begun or stopped to have "
+        "replicas; move it again"
+    )
 
 
 def wrong_epoch(record: RecordedQueue, stated: int) -> StampedeError:

@@ -13,7 +13,9 @@ from stampede_rt_channel_host.core.channel import Pieces
 from stampede_rt_channel_host.core.queue import Enqueue, QueueCore, SealRun, TakerState
 from stampede_rt_channel_host.core.queue.queue_snapshot import QueueSnapshot
 from stampede_rt_channel_host.core.records import RecordedQueue
+from stampede_rt_channel_host.queues import refusals
 from stampede_rt_channel_host.queues.queue_content import QueueContent, QueueMove
+from stampede_rt_channel_host.queues.queue_copying import QueueCopying
 from stampede_rt_channel_host.queues.queue_replication import QueueReplication, waits_for_replicas
 from stampede_rt_channel_host.queues.refusals import display_name
 
@@ -29,6 +31,11 @@ class ReplicatedQueue(ABC):
     moving: QueueMove | None
     replication: QueueReplication | None = None
     _now: Callable[[], int]
+    copying: QueueCopying | None = None
+    """The copy for the next owner, while the queue begins to move away."""
+    is_kept = False
+    """Whether the host keeps the messages as a replica when it gives the queue up."""
+    _is_forgotten = False
     _is_stalled = False
     _last_step = 0  # the last step of an earlier `replication`
 
@@ -92,6 +99,39 @@ class ReplicatedQueue(ABC):
         has these replicas.
         """
         return replication.journal.snapshot(partial(self._note_step, replication), ACKNOWLEDGED_CHUNKS_MAX)
+
+    def begin_copying(self) -> QueueCopying:
+        """Begin to keep the steps for the next owner. Raises StaleBinding (NOT_HERE) if another move is under way."""
+        if self.copying is not None or self.moving is not None:
+            raise refusals.is_moving(self.record)
+        self.copying = QueueCopying(self.queue, None if self.replication is None else self.replication.journal)
+        return self.copying
+
+    def end_copying(self) -> Pieces[None]:
+        """End `begin_copying`, in pieces."""
+        copying, self.copying = self.copying, None
+        if copying is not None:
+            yield from copying.ending()
+
+    def copied(self, copying: QueueCopying) -> Pieces[QueueSnapshot]:
+        """The whole queue, as it is when the last piece ends. Raises the errors of `check_copying`."""
+        return copying.journal.snapshot(partial(self.check_copying, copying), None)
+
+    def check_copying(self, copying: QueueCopying) -> int:
+        """Make a step of all changes. Returns the time.
+
+        Raises Unavailable if the steps of `copying` cannot follow any more, and StaleBinding (NOT_HERE) if the queue
+        has left this host.
+        """
+        if self._is_forgotten:
+            raise refusals.is_moving(self.record)
+        now = self._now()
+        if self.replication is not None:
+            self.replication.changed(now)
+        copying.changed(now)
+        if not copying.is_complete:
+            raise refusals.has_lost_steps(self.record)
+        return now
 
     def _note_step(self, replication: QueueReplication) -> int:
         """Make a step of all changes. Returns the time."""

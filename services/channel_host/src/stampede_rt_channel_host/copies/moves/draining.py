@@ -121,7 +121,7 @@ class _OwnQueue:
 
     @property
     def is_moving(self) -> bool:
-        return self._hosted.moving is not None
+        return self._hosted.moving is not None or self._hosted.copying is not None
 
     @property
     def is_empty(self) -> bool:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import grpc
 
-from stampede_rt.errors import Unavailable
+from stampede_rt.errors import InvalidArgument, Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1 import migration_service_pb2_grpc
@@ -24,6 +24,7 @@ from stampede_rt_channel_host.copies.moves.incoming_moves import until_known
 from stampede_rt_channel_host.copies.moves.move_directory import MoveDirectory
 from stampede_rt_channel_host.copies.moves.move_slots import MoveSlots
 from stampede_rt_channel_host.copies.queues.queue_messages import ArrivingQueue
+from stampede_rt_channel_host.copies.queues.queue_steps import ArrivingParts, WholeQueue
 from stampede_rt_channel_host.core.channel.pieces import run_to_end
 from stampede_rt_channel_host.core.queue import QueueCore, QueueLimits
 from stampede_rt_channel_host.core.queue.handoff import freeing
@@ -35,7 +36,8 @@ from stampede_rt_channel_host.queues.refusals import display_name, moved
 
 logger = logging.getLogger(__name__)
 
-HANDOVER_SECONDS_MAX = 4.5  # shorter than the wait of the former owner
+PART_SECONDS_MAX = 10.0  # the former owner may copy the queue, or wait for the ends of streams, in this time
+HANDOVER_SECONDS_MAX = 90.0  # longer than the waits of the former owner, which ends the move earlier
 
 
 class MovedQueue(NamedTuple):
@@ -43,6 +45,14 @@ class MovedQueue(NamedTuple):
 
     hosted: HostedQueue
     blackout_nanos: int
+
+
+class _ArrivedQueue(NamedTuple):
+    """A queue that its former owner holds. `held_since_nanos`: since when, by a steady clock."""
+
+    content: QueueContent
+    permit: bytes
+    held_since_nanos: int
 
 
 class QueueArrivals:
@@ -102,21 +112,18 @@ class QueueArrivals:
 
     async def _move(self, record: RecordedQueue, target: str) -> MovedQueue:
         self._queues.forget(record.queue_id, moved(record))  # this host may have owned the queue before
-        began = time.monotonic_ns()
         channel = self._dial(target)
         call = migration_service_pb2_grpc.MigrationServiceStub(channel).HandOverQueue()
         room = self._queues.memory.charge_for(record.created_by)
         try:
             async with asyncio.timeout(HANDOVER_SECONDS_MAX):
                 opening = pb.HandOverQueueOpen(
-                    queue_id=record.queue_id, epoch=record.epoch, host_id=self._identity.host_id
+                    queue_id=record.queue_id, epoch=record.epoch, host_id=self._identity.host_id, takes_steps=True
                 )
                 await call.write(pb.HandOverQueueRequest(open=opening))
-                arriving = await self._received(call, room)
-                core = await asyncio.to_thread(self._restored, record, arriving)
+                arrived = await self._arrived(record, call, room)
             room.set(0)
-            journal = core.journal(arriving.next_step) if arriving.next_step else None
-            adopted = await self._take_over(record, QueueContent(core, journal), arriving.permit)
+            adopted = await self._take_over(record, arrived.content, arrived.permit)
             await _report_commit(call, adopted.epoch)
         except grpc.RpcError as error:
             raise from_rpc_error(error, target) from error
@@ -131,29 +138,71 @@ class QueueArrivals:
             call.cancel()
             await channel.close(None)
         logger.info("a queue has moved here", extra={"event": "queue_moved_here", "queue": display_name(record)})
-        return MovedQueue(await self._queues.use(adopted.queue_id, adopted.epoch), time.monotonic_ns() - began)
+        return MovedQueue(
+            await self._queues.use(adopted.queue_id, adopted.epoch), time.monotonic_ns() - arrived.held_since_nanos
+        )
 
-    async def _received(self, call: Any, room: Charge) -> ArrivingQueue:
-        """All parts of the queue. Raises Overloaded if there is no room for them, and Unavailable if the stream ends
-        early.
+    async def _arrived(self, record: RecordedQueue, call: Any, room: Charge) -> _ArrivedQueue:
+        """The whole queue, when its former owner holds it. Raises the errors of `_received`, and InvalidArgument."""
+        began_nanos = time.monotonic_ns()
+        first = await self._part(call)
+        as_of = self._queues.now()
+        arriving = await self._received(first, call, room)
+        core = await asyncio.to_thread(self._restored, record, arriving, as_of)
+        if not arriving.steps_follow:  # the former owner has an earlier release
+            journal = core.journal(arriving.next_step) if arriving.next_step else None
+            return _ArrivedQueue(QueueContent(core, journal), arriving.permit, began_nanos)
+        journal = core.journal(arriving.next_step)
+        room.set(0)
+        room.claim(core.footprint_bytes)
+        await call.write(pb.HandOverQueueRequest(has_copy=True))
+        parts = ArrivingParts()
+        while not (response := await self._part(call)).is_held:
+            room.claim(response.ByteSize())
+            for step in parts.add(response.steps):
+                if isinstance(step, WholeQueue):
+                    raise InvalidArgument("the former owner of the queue has sent it twice; move it again")
+                journal.apply(step[0], self._queues.now() - step[1])
+            room.set(core.footprint_bytes + journal.size_bytes + parts.size_bytes)
+        held_since_nanos = time.monotonic_ns() - response.held_nanos
+        if not response.facts.next_step:
+            self._queues.scheduler.begin(journal.stopping())
+        content = QueueContent(core, journal if response.facts.next_step else None)
+        return _ArrivedQueue(content, response.permit, held_since_nanos)
+
+    async def _part(self, call: Any) -> pb.HandOverQueueResponse:
+        """The next response. Raises Unavailable if there is none, and TimeoutError after PART_SECONDS_MAX."""
+        async with asyncio.timeout(PART_SECONDS_MAX):
+            part = await call.read()
+        if not isinstance(part, pb.HandOverQueueResponse):
+            raise Unavailable("the former owner of the queue has ended the move; move it again")
+        return part
+
+    async def _received(self, part: pb.HandOverQueueResponse, call: Any, room: Charge) -> ArrivingQueue:
+        """All parts of the queue. `part`: the first one. Raises Overloaded if there is no room for them, and the errors
+        of `_part`.
         """
         arriving = ArrivingQueue()
-        while not arriving.is_whole:
-            part = await call.read()
-            if not isinstance(part, pb.HandOverQueueResponse):
-                raise Unavailable("the former owner of the queue has ended the move; move it again")
+        while True:
             room.claim(part.ByteSize())
             arriving.add(part)
             room.set(arriving.size_bytes)
-        return arriving
+            if arriving.is_whole:
+                return arriving
+            part = await self._part(call)
 
-    def _restored(self, record: RecordedQueue, arriving: ArrivingQueue) -> QueueCore:
-        """The queue. A thread does this work, because it takes some microseconds for each message."""
+    def _restored(self, record: RecordedQueue, arriving: ArrivingQueue, as_of: int) -> QueueCore:
+        """The queue. A thread does this work, because it takes some microseconds for each message.
+
+        `as_of`: when the first part came, by this host's clock. If the former owner serves the queue meanwhile, the
+        leases count from then on.
+        """
         state = arriving.state()
-        core = QueueCore.restore(
+        restore = QueueCore.restored if arriving.steps_follow else QueueCore.restore
+        core = restore(
             QueueLimits.of(record.policy),
             state,
-            self._queues.now(),
+            as_of if arriving.steps_follow else self._queues.now(),
             incarnation=record.incarnation,
             name=display_name(record),
             may_serve=self._queues.may_serve,

@@ -1,8 +1,8 @@
 """The former owner's side of a move of a queue or mailbox (paper, section 3.5: queues migrate).
 
-The host ends the streams of the queue, lets all calls wait, and sends everything. Then the first of
-two commands in the directory decides the owner: the command of the new owner, or the command by which this host takes
-the queue back.
+The host sends the whole queue, and the steps since then, while callers use the queue. Then it ends the streams of the
+queue, lets all calls wait, and sends the last steps. The first of two commands in the directory decides the owner: the
+command of the new owner, or the command by which this host takes the queue back.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import asyncio
 import logging
 import secrets
 import time
-from collections.abc import Awaitable, Iterator
+from collections.abc import Iterator
 
 from grpc.aio import InternalError
 
@@ -23,18 +23,21 @@ from stampede_rt_channel_host.copies.feed_callers import FeedCallers
 from stampede_rt_channel_host.copies.moves.move_directory import MoveDirectory
 from stampede_rt_channel_host.copies.moves.move_slots import MoveSlots
 from stampede_rt_channel_host.copies.moves.outgoing_moves import RETRY_SECONDS, OutgoingMoves
-from stampede_rt_channel_host.copies.queues.queue_messages import parts_of
-from stampede_rt_channel_host.core.queue import QueueHandoff
-from stampede_rt_channel_host.core.queue.handoff import freeing
+from stampede_rt_channel_host.copies.queues.queue_messages import PART_BYTES, parts_of
+from stampede_rt_channel_host.copies.queues.queue_steps import STEPS_PER_REQUEST, step_parts
 from stampede_rt_channel_host.core.records import RecordedQueue
 from stampede_rt_channel_host.queues import refusals
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from stampede_rt_channel_host.queues.queue_content import KeptQueue
+from stampede_rt_channel_host.queues.queue_copying import QueueCopying
 from stampede_rt_channel_host.queues.queue_store import QueueStore
 from stampede_rt_channel_host.queues.refusals import display_name
 from stampede_rt_runtime.rpc import Context
 
 logger = logging.getLogger(__name__)
+
+COPY_SECONDS_MAX = 60.0  # for the whole queue and the steps since then, while callers use the queue
+CATCH_UP_SECONDS_MAX = 10.0  # then the host holds the queue, although the new owner may lack many steps
 
 
 class QueueHandovers:
@@ -65,48 +68,108 @@ class QueueHandovers:
         name = f"queue {display_name(hosted.record)}"
         self._moves.allowed.check(name, opening.queue_id, hosted.epoch, opening.host_id)
         self._slots.take(hosted.record)
-        is_committed = False
         try:
-            is_committed = await self._hand_over(hosted, opening.host_id, context)
+            copying = hosted.begin_copying()
+            try:
+                await self._copy_and_hold(hosted, copying, opening, context)
+            finally:
+                self._queues.scheduler.begin(hosted.end_copying())
         except TimeoutError:
             raise Overloaded(f"the move of queue {display_name(hosted.record)} took too long; move it again") from None
         except InternalError:
             pass  # the caller has gone; `_end` learns from the directory whether the queue stays
         finally:
             self._slots.give_back(hosted.record)
+
+    async def _copy_and_hold(
+        self, hosted: HostedQueue, copying: QueueCopying, opening: pb.HandOverQueueOpen, context: Context
+    ) -> None:
+        """Send most of the queue while callers use it. Then hold the queue, and hand it over."""
+        if opening.takes_steps:
+            async with asyncio.timeout(COPY_SECONDS_MAX):
+                await self._send_copy(hosted, copying, context)
+            if await self._queues.use(opening.queue_id, opening.epoch) is not hosted:
+                raise refusals.is_moving(hosted.record)
+        is_committed = False
+        try:
+            is_committed = await self._hand_over(hosted, copying, opening, context)
+        finally:
             end = self._end(hosted, opening.host_id, is_committed=is_committed)
             self._moves.start(end, "end of a move of a queue")
 
-    async def _hand_over(self, hosted: HostedQueue, host_id: bytes, context: Context) -> bool:
-        """Send the queue. Returns whether the new owner says that it is the owner."""
+    async def _send_copy(self, hosted: HostedQueue, copying: QueueCopying, context: Context) -> None:
+        """Send the whole queue, and the steps since then, until few steps are left."""
+        snapshot = await self._queues.scheduler.do(hosted.copied(copying))
+        try:
+            await _send(parts_of(snapshot, next_step=snapshot.next_step, steps_follow=True), context)
+        finally:
+            self._queues.scheduler.begin(snapshot.freeing())
+        copying.next_step = snapshot.next_step
+        answer = await context.read()
+        if not isinstance(answer, pb.HandOverQueueRequest) or not answer.has_copy:
+            raise InvalidArgument(
+                "the calling host has not said that it has the copy; install the same release on both"
+            )
+        ends_s = time.monotonic() + CATCH_UP_SECONDS_MAX
+        while await self._send_steps(hosted, copying, context) and time.monotonic() < ends_s:
+            pass
+
+    async def _send_steps(self, hosted: HostedQueue, copying: QueueCopying, context: Context) -> bool:
+        """Send some steps. Returns whether there may be more."""
+        now = hosted.check_copying(copying)
+        steps = copying.steps.take(STEPS_PER_REQUEST, PART_BYTES, copying.next_step)
+        parts = [part for step in steps for part in step_parts(step, now)]
+        if sum(part.ByteSize() for part in parts) > PART_BYTES:
+            for part in parts:
+                await context.write(pb.HandOverQueueResponse(steps=[part]))
+        elif parts:
+            await context.write(pb.HandOverQueueResponse(steps=parts))
+        return len(steps) == STEPS_PER_REQUEST
+
+    async def _hand_over(
+        self, hosted: HostedQueue, copying: QueueCopying, opening: pb.HandOverQueueOpen, context: Context
+    ) -> bool:
+        """Hold the queue, and send the rest. Returns whether the new owner says that it is the owner."""
         async with asyncio.timeout(HELD_SECONDS_MAX):
+            held_nanos = time.monotonic_ns()
             await hosted.hold(refusals.is_moving(hosted.record))
-            permit = self._moves.allowed.permit(hosted.record.queue_id, hosted.epoch, host_id)
-            state = await hosted.exported()
-            next_step = await hosted.wait_until_replicated()
-            keeping = asyncio.ensure_future(self._keep(hosted, state, next_step))
-            try:
-                await _send(parts_of(state, permit, next_step), keeping, context)
-                answer = await context.read()
-            finally:
-                if keeping.done():  # otherwise a thread may still read the state
-                    self._queues.scheduler.begin(freeing(state))
-                keeping.cancel()
+            permit = self._moves.allowed.permit(hosted.record.queue_id, hosted.epoch, opening.host_id)
+            if not opening.takes_steps:
+                await self._send_held(hosted, copying, permit, context)
+            else:
+                while await self._send_steps(hosted, copying, context) or len(copying.steps):
+                    pass
+                next_step = await self._keep(hosted, held_nanos)
+                facts, waited_nanos = pb.HandedQueueFacts(next_step=next_step), time.monotonic_ns() - held_nanos
+                await context.write(
+                    pb.HandOverQueueResponse(is_held=True, permit=permit, facts=facts, held_nanos=waited_nanos)
+                )
+            answer = await context.read()
         return isinstance(answer, pb.HandOverQueueRequest) and answer.committed_epoch > 0
 
-    async def _keep(self, hosted: HostedQueue, state: QueueHandoff, next_step: int) -> None:
-        """Make the copy that stays here if the queue moves. If the new owner held a replica, this copy replaces it.
+    async def _send_held(self, hosted: HostedQueue, copying: QueueCopying, permit: bytes, context: Context) -> None:
+        """Send the whole held queue to a host of an earlier release."""
+        held_nanos = time.monotonic_ns()
+        snapshot = await self._queues.scheduler.do(hosted.copied(copying))
+        try:
+            next_step = await self._keep(hosted, held_nanos)
+            await _send(parts_of(snapshot, permit, next_step), context)
+        finally:
+            self._queues.scheduler.begin(snapshot.freeing())
 
-        From the commit on, the directory knows this copy as in sync. This host may learn of the commit late or never.
-        Raises Overloaded if there is no room for the copy: then the queue does not move.
+    async def _keep(self, hosted: HostedQueue, held_nanos: int) -> int:
+        """Wait until the replicas have the held queue. If the queue moves, this host keeps it as a replica. If the new
+        owner held a replica, this one replaces it. Returns the number of the next step; 0 without replicas.
+
+        From the commit on, the directory knows this replica as in sync. This host may learn of the commit late or
+        never. Raises Overloaded if this host has no room for another replica, and Unavailable if the replicas lack
+        steps: then the queue does not move.
         """
-        if not next_step:
-            return
-        made_nanos = time.monotonic_ns()
-        core = await asyncio.to_thread(self._queues.copies.restored, hosted.record, state)
-        if hosted.moving is not None:
-            charge = self._queues.copies.room_for(hosted.record, core, sum(len(run.body) for run in state.runs))
-            hosted.moving.kept = KeptQueue(core, next_step, made_nanos, charge)
+        next_step = await hosted.wait_until_replicated()
+        if next_step and hosted.moving is not None:
+            self._queues.copies.check_number()
+            hosted.moving.kept = KeptQueue(hosted.queue, next_step, held_nanos)
+        return next_step
 
     async def _end(self, hosted: HostedQueue, host_id: bytes, *, is_committed: bool) -> None:
         """Drop the queue if it has moved; otherwise serve it again. Asks the directory until the outcome is known."""
@@ -151,13 +214,9 @@ class QueueHandovers:
             self._queues.forget(hosted.record.queue_id, error)
 
 
-async def _send(parts: Iterator[pb.HandOverQueueResponse], keeping: Awaitable[None], context: Context) -> None:
-    """Send the queue. The last part has the permit, with which the new owner can commit. This part waits for
-    `keeping`.
-    """
+async def _send(parts: Iterator[pb.HandOverQueueResponse], context: Context) -> None:
+    """Send the queue. A thread makes the parts, because nothing changes their values."""
     while (part := await asyncio.to_thread(next, parts, None)) is not None:
-        if part.ends:
-            await keeping
         await context.write(part)
 
 

@@ -5,6 +5,7 @@ Times are durations on the wire, because the clocks of two hosts differ.
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import fields
 from itertools import chain, groupby
@@ -31,10 +32,13 @@ PART_BYTES = 2**17  # half of the longest message that a host takes over gRPC
 _COUNTS = tuple(one.name for one in fields(QueueTally))
 
 
-def parts_of(state: QueueValues, permit: bytes = b"", next_step: int = 0) -> Iterator[pb.HandOverQueueResponse]:
+def parts_of(
+    state: QueueValues, permit: bytes = b"", next_step: int = 0, *, steps_follow: bool = False
+) -> Iterator[pb.HandOverQueueResponse]:
     """The queue in parts of about PART_BYTES. The first one has the facts, and the last one `ends` with the permit.
 
-    `next_step`: the number of its next step, or 0 if it has no replicas.
+    `next_step`: the number of its next step, or 0 if it has no replicas. `steps_follow`: the host sends the steps from
+    `next_step` on, too.
     """
     counters = queue_pb2.QueueCounters(**{name: getattr(state.tally, name) for name in _COUNTS})
     facts = pb.HandedQueueFacts(
@@ -52,7 +56,7 @@ def parts_of(state: QueueValues, permit: bytes = b"", next_step: int = 0) -> Ite
     producers = (entry for runs in by_producer for entry in _producer_to([*runs]))
     yield from (pb.HandOverQueueResponse(producers=some) for some in _some(producers))
     yield from (pb.HandOverQueueResponse(message_ids=some) for some in _some(map(_id_to, state.message_ids)))
-    yield pb.HandOverQueueResponse(ends=True, permit=permit)
+    yield pb.HandOverQueueResponse(ends=True, permit=permit, steps_follow=steps_follow)
 
 
 class ArrivingQueue:
@@ -61,7 +65,8 @@ class ArrivingQueue:
     def __init__(self) -> None:
         self._facts: pb.HandedQueueFacts | None = None
         self._runs: list[tuple[pb.HandedRun, bytearray]] = []
-        self._rest = pb.HandOverQueueResponse()
+        self._parts: list[pb.HandOverQueueResponse] = []  # in one message, they would take long to free in one step
+        self._last = pb.HandOverQueueResponse()
         self.size_bytes = 0
 
     def add(self, part: pb.HandOverQueueResponse) -> None:
@@ -76,17 +81,23 @@ class ArrivingQueue:
         self._runs += [(run, bytearray(run.body)) for run in part.runs]
         part.ClearField("runs")
         part.ClearField("more_body")
-        self._rest.MergeFrom(part)
+        self._parts.append(part)
+        self._last = part
 
     @property
     def is_whole(self) -> bool:
         """Whether the last part has come."""
-        return self._rest.ends
+        return self._last.ends
+
+    @property
+    def steps_follow(self) -> bool:
+        """Whether the former owner still serves the queue, and sends the steps from `next_step` on."""
+        return self._last.steps_follow
 
     @property
     def permit(self) -> bytes:
         """The former owner's permit for the directory. It came with the last part."""
-        return self._rest.permit
+        return self._last.permit
 
     @property
     def next_step(self) -> int:
@@ -94,16 +105,22 @@ class ArrivingQueue:
         return 0 if self._facts is None else self._facts.next_step
 
     def state(self) -> QueueHandoff:
-        """The whole queue, after the last part. Raises InvalidArgument if it contradicts itself."""
+        """The whole queue, after the last part. Call this once: it frees the parts. Raises InvalidArgument if the queue
+        contradicts itself.
+        """
         state = self.values()
+        while self._parts:  # in one step the interpreter would run no other thread meanwhile
+            self._parts.pop()
+        while self._runs:
+            self._runs.pop()
         _check(state)
         return state
 
     def values(self) -> QueueHandoff:
         """Like `state`, but the parts need not be a whole queue. Raises InvalidArgument if some are missing."""
-        if self._facts is None or not self._rest.ends:
+        if self._facts is None or not self._last.ends:
             raise _nonsense("no facts, or no end")
-        rest, counters = self._rest, self._facts.counters
+        counters = self._facts.counters
         return QueueHandoff(
             next_seq=self._facts.next_seq,
             next_delivery_id=self._facts.next_delivery_id,
@@ -112,14 +129,20 @@ class ArrivingQueue:
                 QueuedRun(run.first_seq, tuple(run.length_bytes), run.accepted_ago_nanos, bytes(body))
                 for run, body in self._runs
             ],
-            held=[SeqRange(one.first_seq, one.first_seq + one.items - 1) for one in rest.held],
-            items=[*items_of(rest.messages)],
+            held=[SeqRange(one.first_seq, one.first_seq + one.items - 1) for one in self._all("held")],
+            items=[*items_of(self._all("messages"))],
             acknowledged=[
-                AcknowledgedDelivery(one.delivery_id, one.taker_id, one.ago_nanos) for one in rest.acknowledged
+                AcknowledgedDelivery(one.delivery_id, one.taker_id, one.ago_nanos) for one in self._all("acknowledged")
             ],
-            producers=[*chain.from_iterable(map(_runs_of, rest.producers))],
-            message_ids=[KnownMessage(one.message_id, one.seq, one.ago_nanos, one.owner) for one in rest.message_ids],
+            producers=[*chain.from_iterable(map(_runs_of, self._all("producers")))],
+            message_ids=[
+                KnownMessage(one.message_id, one.seq, one.ago_nanos, one.owner) for one in self._all("message_ids")
+            ],
         )
+
+    def _all(self, field: str) -> Iterator[Any]:
+        """The entries of a list in all parts."""
+        return chain.from_iterable(getattr(part, field) for part in self._parts)
 
 
 def _check(state: QueueHandoff) -> None:
@@ -127,12 +150,26 @@ def _check(state: QueueHandoff) -> None:
     ends = [run.end_seq for run in state.runs]
     runs_ascend = all(run.first_seq >= end for run, end in zip(state.runs[1:], ends, strict=False))
     held_ascend = all(later.first > one.last for one, later in zip(state.held, state.held[1:], strict=False))
-    seqs = {seq for first, last in state.held for seq in range(first, last + 1)}
-    stored = {seq for run in state.runs for seq in range(run.first_seq, run.end_seq)}
-    if not (runs_ascend and held_ascend and seqs <= stored) or any(one.seq not in seqs for one in state.items):
+    stored = [SeqRange(run.first_seq, run.end_seq - 1) for run in state.runs]
+    if not (runs_ascend and held_ascend and all(_are_in(stored, one) for one in state.held)):
         raise _nonsense("messages without a run, or not in the order of seqs")
-    if any(len(one.deliveries) < len(one.leases) for one in state.items) or max(seqs, default=0) >= state.next_seq:
+    if not all(_are_in(state.held, SeqRange(one.seq, one.seq)) for one in state.items):
+        raise _nonsense("a history of a message that it does not hold")
+    is_of_future = bool(state.held) and state.held[-1].last >= state.next_seq
+    if is_of_future or any(len(one.deliveries) < len(one.leases) for one in state.items):
         raise _nonsense("leases without a delivery, or a message of the future")
+
+
+def _are_in(ranges: Sequence[SeqRange], wanted: SeqRange) -> bool:
+    """Whether ascending ranges have all seqs of `wanted`. A set of all seqs would take long to free in one step."""
+    at = bisect_right(ranges, wanted.first, key=lambda one: one.first) - 1
+    seq = wanted.first
+    while 0 <= at < len(ranges) and ranges[at].first <= seq <= ranges[at].last:
+        seq = ranges[at].last + 1
+        if seq > wanted.last:
+            return True
+        at += 1
+    return False
 
 
 def _nonsense(what: str) -> InvalidArgument:

@@ -16,6 +16,7 @@ from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.dedup import KeptRun
 from stampede_rt_channel_host.core.queue.acknowledged_deliveries import AcknowledgedDelivery
 from stampede_rt_channel_host.core.queue.changes import ItemChange
+from stampede_rt_channel_host.core.queue.chunked_map import ChunkedMap
 from stampede_rt_channel_host.core.queue.enqueue_line import EnqueueLine
 from stampede_rt_channel_host.core.queue.items import FailedDelivery, QueuedRun, TrackedItem
 from stampede_rt_channel_host.core.queue.message_ids import KnownMessage
@@ -100,7 +101,9 @@ def restore(
     """Fill an empty queue with `state`. The next `QueueCore.tick` ends the expired leases and delays."""
     queue_items.tally = state.tally.copied()
     queue_leases.next_delivery_id = state.next_delivery_id
-    states = {one.seq: one for one in state.items}
+    states: ChunkedMap[ItemState] = ChunkedMap()
+    for item_state in state.items:
+        states[item_state.seq] = item_state
     fresh_from = _fresh_from(state)
     runs = iter(state.runs)
     run: QueuedRun | None = None
@@ -108,8 +111,9 @@ def restore(
         while run is None or seq >= run.end_seq:
             run = fresh_run_of(next(runs), now)
         queue_items.put_back(run, seq - run.first_seq, is_fresh=seq >= fresh_from)
-        if seq in states:
-            enter(queue_items, queue_leases, states[seq], now)
+        found = states.get(seq)
+        if found is not None:
+            enter(queue_items, queue_leases, found, now)
         elif seq < fresh_from:
             queue_items.refresh(queue_items.tracked[seq])
     queue_items.next_seq = state.next_seq
@@ -121,6 +125,8 @@ def restore(
         enqueue_line.retries.record(kept.producer_id, kept.first_number, aged(kept, now).outcome, kept.owner)
     for known in state.message_ids:
         enqueue_line.message_ids.record(known.message_id, known.seq, now - known.time, known.owner)
+    for _ in states.emptying():  # in one step the interpreter would run no other thread meanwhile
+        pass
 
 
 def run_with_age(run: QueuedRun, now: int) -> QueuedRun:

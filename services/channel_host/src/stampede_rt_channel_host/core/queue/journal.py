@@ -18,6 +18,7 @@ from stampede_rt_channel_host.core.queue.ahead_put import AheadPut
 from stampede_rt_channel_host.core.queue.changes import QueueChanges
 from stampede_rt_channel_host.core.queue.enqueue import Enqueue
 from stampede_rt_channel_host.core.queue.enqueue_line import EnqueueLine
+from stampede_rt_channel_host.core.queue.followed_steps import FollowedSteps
 from stampede_rt_channel_host.core.queue.handoff import (
     ItemState,
     QueueHandoff,
@@ -59,6 +60,10 @@ class QueueStep(NamedTuple):
         noted = len(changes.acknowledged) + len(changes.producers) + len(changes.message_ids)
         bodies = sum(len(run.body) for run in changes.runs)
         return _STEP_BYTES + bodies + _ENTRY_BYTES * (copies + len(changes.items) + noted) + 8 * len(self.removed)
+
+    def step(self) -> QueueStep:
+        """See `FollowedStep`."""
+        return self
 
     @property
     def has_changes(self) -> bool:
@@ -112,6 +117,20 @@ class QueueJournal:
         self.next_step = next_step
         self.size_bytes = 0
         self._snapshots: list[QueueSnapshot] = []
+        self._followers: list[FollowedSteps] = []
+
+    @property
+    def is_noting(self) -> bool:
+        """Whether the queue still notes its changes in this journal."""
+        return self._queue_items.changes is self._changes
+
+    def follow(self, steps: FollowedSteps) -> None:
+        """Add all later steps to `steps`, too, until `unfollow`."""
+        self._followers.append(steps)
+
+    def unfollow(self, steps: FollowedSteps) -> None:
+        """End `follow`."""
+        self._followers.remove(steps)
 
     def note(self, now: int, put: AheadPut | None = None) -> bool:
         """Make a step of all changes since the last step. Returns False if nothing has changed.
@@ -184,7 +203,7 @@ class QueueJournal:
             return None
         found: list[QueueStep] = []
         for step, size_bytes in islice(self._steps, number - first, None):
-            found.append(step.step() if isinstance(step, _PutStep) else step)
+            found.append(step.step())
             bytes_max -= size_bytes
             if bytes_max <= 0:
                 break
@@ -269,10 +288,12 @@ class QueueJournal:
         size_bytes = step.size_bytes
         self._steps.append((step, size_bytes))
         self.size_bytes += size_bytes
+        for follower in self._followers:
+            follower.add(step, size_bytes)
         while self.size_bytes > self.bytes_max and len(self._steps) > 1:
             self.size_bytes -= self._steps.popleft()[1]
 
-    def snapshot(self, note: Callable[[], int], chunks_max: int) -> Pieces[QueueSnapshot]:
+    def snapshot(self, note: Callable[[], int], chunks_max: int | None) -> Pieces[QueueSnapshot]:
         """The whole queue, right after the step that is the last one when the last piece ends.
 
         `note` makes a step of all changes, and returns the time by the host's clock. Its errors end the work.
@@ -296,8 +317,9 @@ class QueueJournal:
         run_to_end(self.stopping())
 
     def stopping(self) -> Pieces[None]:
-        """Like `stop`, in pieces. The first one stops the noting."""
-        self._queue_items.changes = None
+        """Like `stop`, in pieces. The first one stops the noting, unless another journal has taken it over."""
+        if self.is_noting:
+            self._queue_items.changes = None
         while self._steps:
             self.forget(self.next_step)
             yield
