@@ -80,6 +80,16 @@ def test_a_cluster_without_load_is_balanced(cluster: LocalCluster, capsys: pytes
         assert hosts_of(rt, [channel.name]) == {"h1"}
 
 
+@pytest.mark.parametrize("timeout", ["0s", "-1s", "61s"])
+def test_a_drain_has_a_time_that_hosts_allow(cluster: LocalCluster, timeout: str) -> None:
+    """In an earlier version, "0s" stood for 60 s, and a longer time was cut to 60 s."""
+    with (
+        st.connect(cluster.address) as rt,
+        pytest.raises(st.InvalidArgument, match=f"timeout is {timeout}; a drain takes more than 0 s and at most 60 s"),
+    ):
+        rt.drain("h1", timeout=timeout)
+
+
 def test_a_stopping_host_moves_its_channels_away_under_load(cluster: LocalCluster) -> None:
     words = ["--listen", "localhost:0", "--name", "leaving", "--frontend", cluster.address, "--drain-seconds", "20"]
     words += ["--secret-file", str(cluster.secret_file)]

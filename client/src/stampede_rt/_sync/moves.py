@@ -17,6 +17,7 @@ from stampede_rt.values.statistics import ChannelStats
 from stampede_rt.values.timeline import DurationLike, parse_duration
 
 MOVE_TIMEOUT = "60s"
+DRAIN_NANOS_MAX = 60 * 10**9
 OVER_NANOS_MAX = 3600 * 10**9
 ITEM_WORK_BYTES = 4096  # an item costs a host about as much work as this number of bytes
 RETRY_S = 0.05
@@ -141,9 +142,9 @@ class Moves(Proxies):
 
         Channels of one group go to the same host. Returns when all have moved, or after `timeout`, which is at most 60
         s. The answer names the channels that have not moved, and why. The host continues to serve, and may get other
-        channels. Raises HostNotFound, PermissionDenied, Unavailable.
+        channels. Raises InvalidArgument, HostNotFound, PermissionDenied, Unavailable.
         """
-        nanos = parse_duration(timeout, "timeout")
+        nanos = _drain_nanos(timeout)
         hosts = {one.name: one for one in self.hosts()}
         if host not in hosts or not hosts[host].endpoints:
             raise HostNotFound(f"there is no live host {host!r}; `stampede hosts` lists the hosts")
@@ -152,6 +153,14 @@ class Moves(Proxies):
         answer = endpoint.call(endpoint.moves.DrainHost, request, nanos / 1e9 + ANSWER_S)
         left = {one.name: one.reason for one in answer.left}
         return DrainInfo(host=host, moved=answer.moved, left=left, left_count=answer.left_count)
+
+
+def _drain_nanos(timeout: DurationLike) -> int:
+    """Return the time of a drain. Raises InvalidArgument, also for 0, which has another meaning in the contract."""
+    nanos = parse_duration(timeout, "timeout")
+    if not 0 < nanos <= DRAIN_NANOS_MAX:
+        raise InvalidArgument(f"timeout is {timeout}; a drain takes more than 0 s and at most 60 s")
+    return nanos
 
 
 def _info(name: str, host: str, answer: pb.MoveHereResponse) -> MoveInfo:

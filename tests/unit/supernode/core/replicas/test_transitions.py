@@ -100,6 +100,15 @@ def test_an_invalid_copy_of_a_channel_is_refused(log: Log) -> None:
         assert refusal(log, operation).reason == reason, operation
 
 
+def test_a_refusal_of_a_copy_names_the_host(log: Log) -> None:
+    """In an earlier version, the error had the id of the host, which no command prints."""
+    channel_id = cam(log).channel_id
+    assert "host host-4 holds no proxy" in refusal(log, add_replica(channel_id, 3, source=4)).message
+    log.apply(expire(2, registered_index=3))
+    assert "host host-2 cannot hold a copy" in refusal(log, add_replica(channel_id, 2)).message
+    assert id_of(9).hex() in refusal(log, add_replica(channel_id, 9)).message
+
+
 def test_a_channel_has_a_bounded_number_of_copies(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(replica_transitions, "REPLICAS_MAX", 1)
     added(log, add_replica(cam(log).channel_id, 2))

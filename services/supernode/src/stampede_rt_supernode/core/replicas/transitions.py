@@ -121,8 +121,8 @@ def _choose_host(tables: Tables, channel: Copied, host_id: bytes) -> HostRecord:
         host = tables.hosts.get(host_id)
         if host is None or not host.alive:
             raise HostNotFound(
-                f"host {host_id.hex()} cannot hold a copy of {shown(channel)}: it never registered, or its lease "
-                "has ended; choose a live host (`stampede hosts`)",
+                f"host {_shown_host(tables, host_id)} cannot hold a copy of {shown(channel)}: it never registered, or "
+                "its lease has ended; choose a live host (`stampede hosts`)",
                 metadata={"host_id": host_id.hex()},
             )
         return host
@@ -163,10 +163,19 @@ def _source(tables: Tables, channel: Copied, operation: AddReplica) -> bytes:
     if operation.kind is ReplicaKind.WARM:
         text = f"a warm replica of {shown(channel)} is fed by the owner only; leave source_host_id out"
     elif (there := tables.replicas.at(id_of(channel), source)) is None or there.kind is not ReplicaKind.PROXY:
-        text = f"host {source.hex()} holds no proxy of {shown(channel)} to feed another; leave source_host_id out"
+        text = (
+            f"host {_shown_host(tables, source)} holds no proxy of {shown(channel)} that could feed another one; name "
+            "a host with a proxy as the source, or leave the source out"
+        )
     else:
         return source
     raise InvalidArgument(text, metadata=about(channel) | {"field": "source_host_id"})
+
+
+def _shown_host(tables: Tables, host_id: bytes) -> str:
+    """The name of a host; the id of a host that never registered."""
+    host = tables.hosts.get(host_id)
+    return host_id.hex() if host is None else host.name
 
 
 def remove_replica(tables: Tables, operation: RemoveReplica) -> ReplicaRemoved:
