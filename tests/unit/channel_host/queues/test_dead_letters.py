@@ -45,10 +45,21 @@ class Source:
     def postpone_dead_letter(self, seq: int) -> None: ...
 
 
-async def test_a_refused_message_is_moved_again_with_the_same_number(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With another number, the queue would store the message twice if the first put had not ended yet."""
-    refused = channel_service_pb2.PutRejection(error=error_pb2.Error(reason=error_pb2.ERROR_REASON_QUEUE_FULL))
-    answers = [channel_service_pb2.PutAck(rejections=[refused]), channel_service_pb2.PutAck(first_seq=1)]
+FULL = channel_service_pb2.PutRejection(error=error_pb2.Error(reason=error_pb2.ERROR_REASON_QUEUE_FULL))
+REFUSED = channel_service_pb2.PutAck(rejections=[FULL])
+NOT_REPLICATED = channel_service_pb2.PutAck(
+    first_seq=1, error=error_pb2.Error(reason=error_pb2.ERROR_REASON_NOT_REPLICATED)
+)
+
+
+@pytest.mark.parametrize("first", [REFUSED, NOT_REPLICATED], ids=["refused", "not replicated"])
+async def test_a_message_without_an_ack_is_moved_again_with_the_same_number(
+    monkeypatch: pytest.MonkeyPatch, first: channel_service_pb2.PutAck
+) -> None:
+    """With another number, the queue would store the message twice if the first put had not ended yet. In an earlier
+    version, a message left its queue although the replicas of the dead-letter queue did not have it.
+    """
+    answers = [first, channel_service_pb2.PutAck(first_seq=1)]
     numbers: list[int] = []
 
     async def enqueue(connection: object, requests: list[bytes]) -> list[channel_service_pb2.PutAck]:

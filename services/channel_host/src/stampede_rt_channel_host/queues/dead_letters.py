@@ -192,7 +192,7 @@ def _conclude(hosted: HostedQueue, items: Sequence[DeadLetter], acks: Sequence[c
     """
     failure: StampedeError | None = None
     for item, ack in zip(items, acks, strict=True):
-        if ack.HasField("first_seq"):
+        if ack.HasField("first_seq") and not ack.HasField("error"):  # else its replicas may lack the message
             hosted.dead_letter_moved(item.seq)
             continue
         failure = from_error_message(ack.rejections[0].error if ack.rejections else ack.error)
