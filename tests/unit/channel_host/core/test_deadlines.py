@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import pairwise
 
-from stampede_rt_channel_host.core.deadlines import OUTDATED_PER_CALL_MAX, Deadlines
+from stampede_rt_channel_host.core.deadlines import EMPTIED_PER_PIECE, OUTDATED_PER_CALL_MAX, Deadlines
 
 
 @dataclass(eq=False)
@@ -88,3 +88,11 @@ def test_a_call_removes_a_bounded_number_of_outdated_entries_and_misses_no_deadl
         assert (deadlines.next() or 9) <= 7
     assert due is last
     assert max(before - after for before, after in pairwise(lengths)) <= 2 * OUTDATED_PER_CALL_MAX
+
+
+def test_many_entries_are_freed_in_pieces() -> None:
+    deadlines = Deadlines[Thing]()
+    for order in range(3 * EMPTIED_PER_PIECE):
+        deadlines.arm(Thing(order), order)
+    left = [len(deadlines._heap) for _ in deadlines.emptying()]
+    assert left == [2 * EMPTIED_PER_PIECE, EMPTIED_PER_PIECE, 0]

@@ -14,6 +14,7 @@ import pytest
 from stampede_rt.errors import InvalidArgument, MalformedRun
 from stampede_rt.values.queueing import QueuePolicy
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
+from stampede_rt_channel_host.core.channel import run_to_end
 from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.queue import AheadPut, Enqueue, TakerState
 from stampede_rt_channel_host.core.queue.queue_items import QueueItems
@@ -195,3 +196,25 @@ async def test_the_replicas_begin_anew_if_the_step_is_another_one(monkeypatch: p
     owner.put()
     assert owner.sent() == [("ahead", 1, 0), "taken back"]
     assert not owner.replication.is_fed(REPLICAS[0])
+
+
+def test_a_queue_that_no_longer_has_replicas_frees_its_steps_in_pieces() -> None:
+    owner = Owner()
+    owner.replication.journal.bytes_max = 2**24
+    for _ in range(1000):
+        owner.put(producer_id=0)
+    record = owner.hosted.record
+    owner.hosted.update(replace(record, spec_version=2, policy=QueuePolicy()))
+    journal, left = owner.replication.journal, [owner.replication.journal.size_bytes]
+    assert not journal.is_noting
+    for _ in owner.hosted.take_ended_work():
+        left.append(journal.size_bytes)
+    assert len(left) > 2
+    assert left[-1] == 0
+
+
+def test_a_journal_that_another_one_has_replaced_does_not_end_the_notes_of_that_one() -> None:
+    owner = Owner()
+    following = owner.hosted.queue.journal(10)
+    run_to_end(owner.replication.journal.stopping())
+    assert following.is_noting

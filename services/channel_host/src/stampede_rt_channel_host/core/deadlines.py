@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+from collections.abc import Iterator
 from typing import Generic, Protocol, TypeVar
 
 _SLACK = 64  # a heap may have this many entries more than twice the number of things with a deadline
@@ -26,6 +27,7 @@ T = TypeVar("T", bound=DeadlineEntry)
 
 Entry = tuple[int, int, T]  # the deadline, `order`, and the thing
 OUTDATED_PER_CALL_MAX = 512
+EMPTIED_PER_PIECE = 1024
 _MOVED_PER_ARM = 4  # the entries of the old heap that one `arm` looks at
 
 
@@ -75,6 +77,13 @@ class Deadlines(Generic[T]):
         """The earliest deadline, or None if no thing has one. If very many deadlines were changed, an earlier time."""
         first = self._first()
         return first[0][0] if first else None
+
+    def emptying(self) -> Iterator[None]:
+        """Free all entries, in pieces. The caller must not use this object any more."""
+        for heap in (self._heap, self._old):
+            while heap:
+                del heap[-EMPTIED_PER_PIECE:]
+                yield
 
     def _first(self) -> list[Entry[T]]:
         """The heap whose top is the earliest deadline. The returned heap is empty if no thing has a deadline.

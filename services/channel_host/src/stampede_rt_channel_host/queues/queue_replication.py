@@ -132,7 +132,6 @@ class QueueReplication(OwnedReplicas[QueueFeed]):
         """Perform all waiting actions, because the queue no longer waits for replicas."""
         self._in_sync.min_replicas = 0
         self.know([])
-        self.journal.stop()
 
     def own_again(self, epoch: int) -> None:
         """Note that this host is the owner again, at `epoch`. The queue had moved away, and its new owner was lost.

@@ -301,6 +301,7 @@ class QueueStore:
                 held.registration = self.registrations
                 replication = held.replication
                 held.update(record)
+                self.scheduler.begin(held.take_ended_work())
                 self._note_replicated(held, replication)
             return
         if held is not None:
@@ -322,6 +323,7 @@ class QueueStore:
         self._queues[record.queue_id] = hosted
         self._creation_shares.note(record.created_by, +1)
         self._note_replicated(hosted, None)
+        self.scheduler.begin(hosted.take_ended_work())
         self.in_use.set()
 
     def _note_replicated(self, hosted: HostedQueue, before: QueueReplication | None) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Sequence
 from functools import partial
 
 from stampede_rt.errors import Unavailable
-from stampede_rt_channel_host.core.channel import Pieces
+from stampede_rt_channel_host.core.channel import Pieces, one_after_another, rest_of
 from stampede_rt_channel_host.core.queue import Enqueue, QueueCore, SealRun, TakerState
 from stampede_rt_channel_host.core.queue.queue_snapshot import QueueSnapshot
 from stampede_rt_channel_host.core.records import RecordedQueue
@@ -36,6 +36,7 @@ class ReplicatedQueue(ABC):
     is_kept = False
     """Whether the host keeps the messages as a replica when it gives the queue up."""
     _is_forgotten = False
+    _ended_work: Sequence[Pieces[None]] = ()
     _is_stalled = False
     _last_step = 0  # the last step of an earlier `replication`
 
@@ -55,6 +56,7 @@ class ReplicatedQueue(ABC):
         if replication is not None and not waits_for_replicas(policy):
             self._last_step, self.replication = replication.journal.next_step, None
             replication.release()
+            self._ended_work = [*self._ended_work, *rest_of(replication.journal.stopping())]
         elif replication is not None:
             replication.configure(policy)
         elif waits_for_replicas(policy):
@@ -64,7 +66,12 @@ class ReplicatedQueue(ABC):
             is_replicated = content is None or content.is_replicated
             self.replication = QueueReplication(journal, policy, self.record.epoch, is_replicated=is_replicated)
         elif content is not None and content.journal is not None:
-            content.journal.stop()
+            self._ended_work = [*self._ended_work, *rest_of(content.journal.stopping())]
+
+    def take_ended_work(self) -> Pieces[None]:
+        """The rest of the work of `replicate`, which frees the steps of a journal. The queue does not need them."""
+        work, self._ended_work = [*self._ended_work], ()
+        return one_after_another(work)
 
     def put(self, run: Enqueue) -> None:
         """Let the queue judge and store a run. Sends a run of one message to the replicas as soon as the queue has

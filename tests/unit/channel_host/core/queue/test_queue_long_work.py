@@ -124,6 +124,7 @@ def test_a_dropped_queue_frees_its_messages_in_pieces() -> None:
         assert held - EMPTIED_PER_PIECE <= now_held <= held
         held = now_held
     assert core.counted("held", "leased") == (0, 0)
+    assert not core.queue._queue_leases._deadlines._heap, "an entry keeps its lease, and so its message"
 
 
 def test_many_calls_refuse_waiting_runs_in_order_and_accept_none_of_them() -> None:

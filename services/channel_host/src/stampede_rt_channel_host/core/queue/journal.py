@@ -13,7 +13,7 @@ from itertools import chain, islice
 from typing import NamedTuple
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt_channel_host.core.channel.pieces import Pieces, run_to_end
+from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.queue.ahead_put import AheadPut
 from stampede_rt_channel_host.core.queue.changes import QueueChanges
 from stampede_rt_channel_host.core.queue.enqueue import Enqueue
@@ -312,12 +312,10 @@ class QueueJournal:
             self._snapshots.remove(snapshot)
         return snapshot
 
-    def stop(self) -> None:
-        """Stop noting changes, because the queue no longer has replicas, and forget all steps."""
-        run_to_end(self.stopping())
-
     def stopping(self) -> Pieces[None]:
-        """Like `stop`, in pieces. The first one stops the noting, unless another journal has taken it over."""
+        """Stop noting changes, unless another journal has taken it over, and forget all steps, in pieces. The first one
+        stops the noting.
+        """
         if self.is_noting:
             self._queue_items.changes = None
         while self._steps:

@@ -29,10 +29,8 @@ from stampede_rt_channel_host.core.queue.values import (
     SettlementResult,
 )
 
-EMPTIED_PER_PIECE = 256
-"""The most messages that one piece of `emptying` removes."""
-ENDED_PER_CALL_MAX = 128
-"""The most waiting runs that one call of `refuse_waiting` refuses."""
+EMPTIED_PER_PIECE = 256  # the most messages that one piece of `emptying` removes
+ENDED_PER_CALL_MAX = 128  # the most waiting runs that one call of `refuse_waiting` refuses
 
 
 class QueueCore:
@@ -262,6 +260,8 @@ class QueueCore:
             for _ in range(EMPTIED_PER_PIECE):
                 self._queue_items.drop_oldest()
             yield
+        yield from self._queue_leases.emptying()
+        yield from self._queue_items.delays.emptying()
 
     def tick(self, now: int) -> None:
         """Handle ended leases, ended delays of messages, and ended waits of runs."""

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from itertools import islice
 
 from stampede_rt.errors import LeaseExpired
+from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.queue.acknowledged_deliveries import AcknowledgedDeliveries, AcknowledgedDelivery
 from stampede_rt_channel_host.core.queue.chunked_map import ChunkedMap
@@ -268,6 +269,12 @@ class QueueLeases:
         for lease in leases:
             self._queue_items.note_change(lease.item, lease.order)
         self._unnoted_from = leases[-1].order + 1 if len(leases) == limit else None
+
+    def emptying(self) -> Pieces[None]:
+        """Free the entries of the deadlines, which also keep ended leases, in pieces. The caller must not use this
+        object any more.
+        """
+        yield from self._deadlines.emptying()
 
     def void(self, item: TrackedItem) -> None:
         """End all leases of the message."""
