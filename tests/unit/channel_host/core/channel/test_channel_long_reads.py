@@ -16,8 +16,8 @@ from stampede_rt_channel_host.core.channel import (
     ReadAnswer,
     abandoning,
     emptying,
+    owed_ranges,
     pieces,
-    subscribing,
 )
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY
 from stampede_rt_channel_host.core.channel.pieces import run_to_end
@@ -148,9 +148,9 @@ def test_a_subscription_merges_the_seqs_of_items_in_any_order_a_few_at_a_time(
     monkeypatch: pytest.MonkeyPatch, resumed: bool
 ) -> None:
     """The seqs of 5000 items make one range. In an earlier version, the seqs filled 20 lists of 256 ranges each."""
-    yielded, ranges_of = 0, subscribing._Ranges.__iter__
+    yielded, ranges_of = 0, owed_ranges.OwedRanges.__iter__
 
-    def counting(self: subscribing._Ranges) -> Iterator[subscribing.Range]:
+    def counting(self: owed_ranges.OwedRanges) -> Iterator[owed_ranges.Range]:
         nonlocal yielded
         for one in ranges_of(self):
             yielded += 1
@@ -159,7 +159,7 @@ def test_a_subscription_merges_the_seqs_of_items_in_any_order_a_few_at_a_time(
     channel, most = permuted(), 0
     start = parse_interval(MIN_INSTANT, MAX_INSTANT).start
     saved = channel.subscribe_all(CLOCK, start=start).saved(channel.incarnation)
-    monkeypatch.setattr(subscribing._Ranges, "__iter__", counting)
+    monkeypatch.setattr(owed_ranges.OwedRanges, "__iter__", counting)
     opening = channel.subscribing_all(CLOCK, saved=saved) if resumed else channel.subscribing_all(CLOCK, start=start)
     cursor: Any = None
     while cursor is None:
@@ -178,7 +178,7 @@ def test_a_subscription_merges_the_seqs_of_items_in_any_order_a_few_at_a_time(
 
 def test_the_seqs_of_items_in_order_need_no_merge() -> None:
     held, _ = filled().look(CLOCK)
-    assert [*run_to_end(subscribing._seq_ranges(held, FIRST_KEY))] == [(1, ITEMS + 1)]
+    assert [*run_to_end(owed_ranges.owed_ranges(held, FIRST_KEY))] == [(1, ITEMS + 1)]
 
 
 def test_a_resumed_subscription_owes_the_rest_of_its_items_and_all_later_ones() -> None:

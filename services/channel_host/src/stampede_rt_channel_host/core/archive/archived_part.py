@@ -12,8 +12,9 @@ from stampede_rt_channel_host.core.archive.segment import PlacedBlock, Segment
 from stampede_rt_channel_host.core.archive.window import BlocksOf, choose_by_seq
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
+from stampede_rt_channel_host.core.channel.owed_ranges import Range
 from stampede_rt_channel_host.core.channel.run import Run, Slice
-from stampede_rt_channel_host.core.channel.subscribing import AllCursor, Range
+from stampede_rt_channel_host.core.channel.subscribing import AllCursor
 from stampede_rt_channel_host.core.channel.values import DeliveredSlice, Gap, SubscriptionBatch
 
 REMOVED = Reason("COLLECTED", "the limits of the channel or of its archive have removed the items")

@@ -23,7 +23,7 @@ from stampede_rt_channel_host.core.channel import (
     SubscriptionBatch,
 )
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
-from stampede_rt_channel_host.core.channel.subscribing import Range
+from stampede_rt_channel_host.core.channel.owed_ranges import Range
 from stampede_rt_channel_host.core.group.loss_counter import split_at
 
 _LOST = Reason("LOST", "the archive lacks items that the group would have shown: they were never archived, or damaged")
