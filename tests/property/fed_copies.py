@@ -136,7 +136,7 @@ class FedCopy:
         self.channel.apply(
             first_seq=part.first_seq,
             cleared=part.cleared,
-            runs=[stored(one.slice) for one in part.slices],
+            runs=[stored(one) for one in part.slices],
             next_seq=part.next_seq,
             collection=part.collection,
             advance=part.advance,

@@ -99,7 +99,7 @@ class Scenario:
         part = self.feed.take(self.clock, limit_bytes)
         if part is not None:
             self.copy.apply(
-                first_seq=part.first_seq, cleared=part.cleared, runs=[stored(one.slice) for one in part.slices],
+                first_seq=part.first_seq, cleared=part.cleared, runs=[stored(one) for one in part.slices],
                 next_seq=part.next_seq, collection=part.collection, advance=part.advance, now=self.clock,
                 owner=part.owner,
             )  # fmt: skip

@@ -177,15 +177,23 @@ class SharedDeliveries:
             self._forget(key)
         return shared.delivery
 
-    def encode_once(self, slices: Sequence[DeliveredSlice], about: bytes) -> Delivery:
-        """Like `encode`, but for a message that no other reader gets."""
-        return self._encode(slices, about, without_payloads=False)
+    def encode_once(self, slices: Sequence[Slice], about: bytes) -> Delivery:
+        """Like `encode`, but for a copy of the channel. No other reader gets the message, and it has no next times,
+        because the copy computes the ends of spans from its own items.
+        """
+        parts = [about]
+        for part, _ in joined_slices(slices):
+            _add_run(parts, _SUBSCRIBE_RUNS, run_bytes(part, without_payloads=False), None)
+        return self._delivery(slices, parts, without_payloads=False)
 
     def _encode(self, slices: Sequence[DeliveredSlice], about: bytes, without_payloads: bool) -> Delivery:
+        parts = _subscribe_parts(slices, about, without_payloads)
+        return self._delivery([one.slice for one in slices], parts, without_payloads=without_payloads)
+
+    def _delivery(self, slices: Sequence[Slice], parts: list[bytes], *, without_payloads: bool) -> Delivery:
         self.encodings += 1
-        payload_bytes = 0 if without_payloads else sum(one.slice.payload_bytes for one in slices)
-        charge_bytes = sum(one.slice.charge_bytes for one in slices)
-        return Delivery(_subscribe_parts(slices, about, without_payloads), payload_bytes, charge_bytes)
+        payload_bytes = 0 if without_payloads else sum(part.payload_bytes for part in slices)
+        return Delivery(parts, payload_bytes, sum(part.charge_bytes for part in slices))
 
     def _keep(self, key: _Key, delivery: Delivery, readers_left: int) -> None:
         run_bytes = sum(len(run.body) for run in {one.slice.run for one in key[0]})

@@ -37,7 +37,7 @@ def copy_of(source: ChannelCore) -> FedChannel:
     copy = FedChannel(Policy(), incarnation=INCARNATION)
     feed = ChannelFeed(source, None, CLOCK)
     while (part := feed.take(CLOCK, 100)) is not None:
-        parts = [one.slice for one in part.slices]
+        parts = part.slices
         copy.apply(
             first_seq=part.first_seq,
             cleared=part.cleared,

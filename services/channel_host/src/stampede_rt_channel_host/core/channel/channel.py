@@ -172,14 +172,15 @@ class ChannelCore(ConsumedChannel):
         self._age_and_free(self._tick(now))
         return missing_from(self._held, cursor)
 
-    def since(self, cursor: AllCursor, now: int, limit_bytes: int) -> SubscriptionBatch:
+    def since(self, cursor: AllCursor, now: int, limit_bytes: int, *, joins: bool = False) -> SubscriptionBatch:
         """Take the next part of a subscription, and move the cursor.
 
         The part has about `limit_bytes`, counted as payload and ITEM_OVERHEAD_BYTES for each item, and at least one
         item if there is one. If retention collected items before the reader took them, a gap reports each of them once.
+        `joins`: the reader is a copy of the channel (see `_joined` in `subscribing`).
         """
         self._age_and_free(self._tick(now))
-        return since(self._held, self._retention.limits, cursor, limit_bytes)
+        return since(self._held, self._retention.limits, cursor, limit_bytes, joins=joins)
 
     def subscribe_newest(
         self, now: int, *, start: Bound | None = None, start_exclusive: bool = False, after: Position | None = None,

@@ -19,8 +19,8 @@ from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
 from stampede_rt_channel_host.core.channel.new_item import FedItem, NewFloor, NewItem, new_item
 from stampede_rt_channel_host.core.channel.owner_facts import OwnerFactsFeed, OwnerPart
+from stampede_rt_channel_host.core.channel.run import Slice
 from stampede_rt_channel_host.core.channel.subscribing import AllCursor
-from stampede_rt_channel_host.core.channel.values import DeliveredSlice
 from stampede_rt_channel_host.core.dedup import RetryWindow
 
 
@@ -71,7 +71,7 @@ class FeedPart(NamedTuple):
 
     first_seq: int
     cleared: ItemKey | None
-    slices: tuple[DeliveredSlice, ...]
+    slices: tuple[Slice, ...]
     next_seq: int
     collection: CollectionFacts | None
     advance: int | None
@@ -180,7 +180,7 @@ class ChannelFeed:
         owner = None if self.owner is None else self.owner.take(now)
         # The copy must know the runs of the items that it gets.
         has_runs = self.owner is None or self.owner.is_caught_up
-        batch = self._source.since(self._cursor, now, limit_bytes if has_runs else 0)
+        batch = self._source.since(self._cursor, now, limit_bytes if has_runs else 0, joins=True)
         held = self._source.held
         collection: CollectionFacts | None = collection_of(held)
         advance = self._source.advanced_to
@@ -194,7 +194,7 @@ class ChannelFeed:
         part = FeedPart(
             before,
             cleared,
-            tuple(batch.slices),
+            tuple(one.slice for one in batch.slices),
             self.next_seq,
             None if collection == known_collection else collection,
             None if advance == known_advance else advance,

@@ -76,7 +76,7 @@ class ReplicatedView:
         self.shown.apply(
             first_seq=part.first_seq,
             cleared=part.cleared,
-            runs=[self._run_of(one.slice) for one in part.slices],
+            runs=[self._run_of(one) for one in part.slices],
             next_seq=part.next_seq,
             collection=part.collection,
             advance=part.advance,
@@ -103,4 +103,4 @@ class ReplicatedView:
 
 def _bytes_of(part: FeedPart) -> int:
     """The memory of the items of a part. A slice keeps the body of its whole run."""
-    return sum(len(one.slice.run.body) + len(one.slice.run) * ITEM_OVERHEAD_BYTES for one in part.slices)
+    return sum(len(one.run.body) + len(one.run) * ITEM_OVERHEAD_BYTES for one in part.slices)

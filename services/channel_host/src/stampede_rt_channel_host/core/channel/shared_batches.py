@@ -10,6 +10,10 @@ PLACES_MAX = 4
 """The most batches that a channel keeps. A batch has references to at most 256 held slices, and no bytes of items."""
 
 
+Place = tuple[int, bool]
+"""The seq of a reader's next item, and whether the reader is a copy of the channel, whose slices are joined."""
+
+
 class SharedBatch(NamedTuple):
     """A batch without a gap: its items, their cost in a reader's credit, and the seq after the last of them."""
 
@@ -22,23 +26,23 @@ class SharedBatch(NamedTuple):
 class SharedBatches:
     """The batches that readers have taken since the last change of a channel's items, by the place of these readers.
 
-    The place is the seq of the next item. A batch that a limit has cut off is only for readers with the same limit.
+    A batch that a limit has cut off is only for readers with the same limit.
     """
 
     __slots__ = ("_cut", "_whole")
 
     def __init__(self) -> None:
-        self._whole: dict[int, SharedBatch] = {}
-        self._cut: dict[tuple[int, int], SharedBatch] = {}
+        self._whole: dict[Place, SharedBatch] = {}
+        self._cut: dict[tuple[Place, int], SharedBatch] = {}
 
-    def find(self, place: int, limit_bytes: int) -> SharedBatch | None:
+    def find(self, place: Place, limit_bytes: int) -> SharedBatch | None:
         """The batch for a reader at `place` with this limit, or None."""
         whole = self._whole.get(place)
         if whole is not None and whole.charge_bytes < limit_bytes:
             return whole
         return self._cut.get((place, limit_bytes))
 
-    def keep(self, place: int, limit_bytes: int, shared: SharedBatch) -> None:
+    def keep(self, place: Place, limit_bytes: int, shared: SharedBatch) -> None:
         """Keep a batch that a reader at `place` has taken with this limit."""
         if len(self._whole) + len(self._cut) >= PLACES_MAX:
             self._whole.clear()

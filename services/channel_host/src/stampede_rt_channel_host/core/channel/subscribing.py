@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import chain
+from itertools import chain, islice
 
 from stampede_rt.values.model import Reason
 from stampede_rt.values.seq_starts import given_between
@@ -175,10 +175,13 @@ def resume_all(held: Holdings, saved: SavedCursor, losses: LostPlaces = ()) -> P
     return AllCursor(chain(ranges.between(first, live_from), live_ranges), next_seq, low, live, losses)
 
 
-def since(held: Holdings, limits: ChannelLimits, cursor: AllCursor, limit_bytes: int) -> SubscriptionBatch:
+def since(
+    held: Holdings, limits: ChannelLimits, cursor: AllCursor, limit_bytes: int, *, joins: bool = False
+) -> SubscriptionBatch:
     """The next part of a subscription: a gap if the next items are missing, then slices.
 
     The slices end before the next gap, or at about `limit_bytes`. Readers at the same place get the same batch.
+    `joins`: the reader is a copy of the channel. Its slices are joined (see `_joined`), and have no next times.
     """
     if cursor.losses:
         return _up_to_loss(held, limits, cursor, limit_bytes)
@@ -187,7 +190,7 @@ def since(held: Holdings, limits: ChannelLimits, cursor: AllCursor, limit_bytes:
         return _NOTHING
     place, is_last = owed[0], owed[1] == held.next_seq
     if is_last and held.shared_batches is not None:
-        shared = held.shared_batches.find(place, limit_bytes)
+        shared = held.shared_batches.find((place, joins), limit_bytes)
         if shared is not None:
             cursor.delivered += shared.items
             cursor.mark_done(shared.end_seq)
@@ -200,13 +203,13 @@ def since(held: Holdings, limits: ChannelLimits, cursor: AllCursor, limit_bytes:
         cursor.mark_done(owed[1])
         batch = SubscriptionBatch(slices=[DeliveredSlice(newest, held.next_time(newest.last_time))])
     else:
-        batch = _next_batch(held, limits, cursor, limit_bytes)
+        batch = _next_batch(held, limits, cursor, limit_bytes, joins=joins)
     if is_last and batch.gap is None and batch.slices:
         charge_bytes = sum(one.slice.charge_bytes for one in batch.slices)
         shared = SharedBatch(batch, cursor.delivered - before, charge_bytes, batch.slices[-1].slice.end_seq)
         if held.shared_batches is None:
             held.shared_batches = SharedBatches()
-        held.shared_batches.keep(place, limit_bytes, shared)
+        held.shared_batches.keep((place, joins), limit_bytes, shared)
     return batch
 
 
@@ -218,7 +221,9 @@ def _up_to_loss(held: Holdings, limits: ChannelLimits, cursor: AllCursor, limit_
     return SubscriptionBatch(gap=cursor.take_loss(), more=True)
 
 
-def _next_batch(held: Holdings, limits: ChannelLimits, cursor: AllCursor, limit_bytes: int) -> SubscriptionBatch:
+def _next_batch(
+    held: Holdings, limits: ChannelLimits, cursor: AllCursor, limit_bytes: int, *, joins: bool = False
+) -> SubscriptionBatch:
     gap: Gap | None = None
     slices: list[DeliveredSlice] = []
     while (owed := cursor.owed_before_loss(held.next_seq)) is not None and limit_bytes > 0:
@@ -231,14 +236,17 @@ def _next_batch(held: Holdings, limits: ChannelLimits, cursor: AllCursor, limit_
                 cursor.dropped += missing_items
             cursor.mark_done(low)
             continue
-        for held_part in _contiguous(held, *owed):
+        parts = _contiguous(held, *owed)
+        for held_part in _joined(parts) if joins else parts:
             part = held_part.within(limit_bytes)
-            slices.append(DeliveredSlice(part, held.next_time(part.last_time)))
+            slices.append(DeliveredSlice(part, None if joins else held.next_time(part.last_time)))
             cursor.delivered += part.items
             cursor.mark_done(part.end_seq)
             limit_bytes -= part.charge_bytes
             if limit_bytes <= 0 or len(slices) >= pieces.STEPS_PER_PIECE:
                 return SubscriptionBatch(slices=slices, gap=gap)
+        if joins:  # it has looked at as many entries as one step may
+            break
     return SubscriptionBatch(slices=slices, gap=gap)
 
 
@@ -249,6 +257,24 @@ def _contiguous(held: Holdings, low: int, high: int) -> Iterator[Slice]:
             return
         yield part
         low = part.end_seq
+
+
+def _joined(parts: Iterator[Slice]) -> Iterator[Slice]:
+    """The first slices, STEPS_PER_PIECE at most. Joins neighbours that follow each other in one run and in time.
+
+    Items of other runs may lie between them in time. Readers of this channel get them apart, because the ends of their
+    spans depend on the items between them. A copy stores the joined items as one run, and has an index of its own.
+    """
+    run, lo, hi = None, 0, 0
+    for part in islice(parts, pieces.STEPS_PER_PIECE):
+        if part.run is run and part.lo == hi and run.times[hi - 1] <= part.first_time:
+            hi = part.hi
+            continue
+        if run is not None:
+            yield Slice(run, lo, hi)
+        run, lo, hi = part
+    if run is not None:
+        yield Slice(run, lo, hi)
 
 
 def _gap(limits: ChannelLimits, held: Holdings, first: int, last: int) -> Gap:
