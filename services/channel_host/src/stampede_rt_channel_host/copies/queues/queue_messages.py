@@ -176,7 +176,7 @@ def _nonsense(what: str) -> InvalidArgument:
     return InvalidArgument(f"the handed queue has {what}; install the same release on both hosts")
 
 
-def owed_ranges(seqs: Iterable[int]) -> list[SeqRange]:
+def seq_ranges(seqs: Iterable[int]) -> list[SeqRange]:
     """The ranges of seqs in any order."""
     found: list[SeqRange] = []
     for seq in sorted(seqs):

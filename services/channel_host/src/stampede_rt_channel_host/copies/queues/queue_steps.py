@@ -11,8 +11,8 @@ from stampede_rt_channel_host.copies.queues.queue_messages import (
     PART_BYTES,
     ArrivingQueue,
     QueueValues,
-    owed_ranges,
     parts_of,
+    seq_ranges,
 )
 from stampede_rt_channel_host.core.queue import QueueHandoff, QueueStep
 
@@ -43,9 +43,7 @@ def step_parts(step: QueueStep, now: int) -> Iterator[pb.FedQueuePart]:
             yield pb.FedQueuePart(content=content)
             content = pb.HandOverQueueResponse()
         content.MergeFrom(part)
-    ranges = [
-        subject_pb2.SeqRange(first_seq=first, items=last - first + 1) for first, last in owed_ranges(step.removed)
-    ]
+    ranges = [subject_pb2.SeqRange(first_seq=first, items=last - first + 1) for first, last in seq_ranges(step.removed)]
     yield pb.FedQueuePart(content=content, next_step=step.number + 1, removed=ranges, ago_nanos=max(0, now - step.time))
 
 
