@@ -91,7 +91,8 @@ class ReplicaDirectoryServiceServicer(object):
         the caller should do so next (GatekeeperService.BindChannel). A host holds at most one copy of a channel or
         queue: a second call with the same kind gets the same record. Idempotent by request id. Errors: CHANNEL_NOT_FOUND,
         QUEUE_NOT_FOUND, HOST_NOT_FOUND, WRONG_EPOCH, CHANNEL_EXISTS (the host is the owner, or holds a copy of another
-        kind), INVALID_ARGUMENT (the source holds no copy; there are 16 copies already; a proxy of a queue).
+        kind), INVALID_ARGUMENT (the source holds no copy; there are 16 copies already; a proxy of a queue; `acknowledged`
+        contradicts the policy).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -49,7 +49,8 @@ class ReplicaDirectoryServiceStub:
     the caller should do so next (GatekeeperService.BindChannel). A host holds at most one copy of a channel or
     queue: a second call with the same kind gets the same record. Idempotent by request id. Errors: CHANNEL_NOT_FOUND,
     QUEUE_NOT_FOUND, HOST_NOT_FOUND, WRONG_EPOCH, CHANNEL_EXISTS (the host is the owner, or holds a copy of another
-    kind), INVALID_ARGUMENT (the source holds no copy; there are 16 copies already; a proxy of a queue).
+    kind), INVALID_ARGUMENT (the source holds no copy; there are 16 copies already; a proxy of a queue; `acknowledged`
+    contradicts the policy).
     """
     RemoveReplica: _grpc.UnaryUnaryMultiCallable[_replica_directory_service_pb2.RemoveReplicaRequest, _replica_directory_service_pb2.RemoveReplicaResponse]
     """Remove a copy. Its readers get MOVED, and go to the owner. Idempotent: if there is no such copy, the call succeeds.
@@ -91,7 +92,8 @@ class ReplicaDirectoryServiceAsyncStub(ReplicaDirectoryServiceStub):
     the caller should do so next (GatekeeperService.BindChannel). A host holds at most one copy of a channel or
     queue: a second call with the same kind gets the same record. Idempotent by request id. Errors: CHANNEL_NOT_FOUND,
     QUEUE_NOT_FOUND, HOST_NOT_FOUND, WRONG_EPOCH, CHANNEL_EXISTS (the host is the owner, or holds a copy of another
-    kind), INVALID_ARGUMENT (the source holds no copy; there are 16 copies already; a proxy of a queue).
+    kind), INVALID_ARGUMENT (the source holds no copy; there are 16 copies already; a proxy of a queue; `acknowledged`
+    contradicts the policy).
     """
     RemoveReplica: _aio.UnaryUnaryMultiCallable[_replica_directory_service_pb2.RemoveReplicaRequest, _replica_directory_service_pb2.RemoveReplicaResponse]  # type: ignore[assignment]
     """Remove a copy. Its readers get MOVED, and go to the owner. Idempotent: if there is no such copy, the call succeeds.
@@ -136,7 +138,8 @@ class ReplicaDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         the caller should do so next (GatekeeperService.BindChannel). A host holds at most one copy of a channel or
         queue: a second call with the same kind gets the same record. Idempotent by request id. Errors: CHANNEL_NOT_FOUND,
         QUEUE_NOT_FOUND, HOST_NOT_FOUND, WRONG_EPOCH, CHANNEL_EXISTS (the host is the owner, or holds a copy of another
-        kind), INVALID_ARGUMENT (the source holds no copy; there are 16 copies already; a proxy of a queue).
+        kind), INVALID_ARGUMENT (the source holds no copy; there are 16 copies already; a proxy of a queue; `acknowledged`
+        contradicts the policy).
         """
 
     @_abc_1.abstractmethod

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from stampede_rt.errors import Unavailable
+from stampede_rt.errors import InvalidArgument, StampedeError, Unavailable
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.values.model import Policy
 from stampede_rt.wire.records import policy_to_spec
@@ -42,6 +42,7 @@ class Directory:
     def __init__(self) -> None:
         self.has_changed = asyncio.Event()
         self.tries_to_add = 0
+        self.refusal: StampedeError = Unavailable("every live host holds the channel", reason="NO_HOST")
 
     async def replicas_of(self, channel_id: bytes) -> ListedReplicas:
         frozen, silent = KnownReplica(FROZEN, 1, False), KnownReplica(SILENT, 1, True)
@@ -50,7 +51,7 @@ class Directory:
 
     async def add_replica(self, channel_id: bytes, epoch: int, *, acknowledged: bool) -> None:
         self.tries_to_add += 1
-        raise Unavailable("every live host holds the channel", reason="NO_HOST")
+        raise self.refusal
 
     async def change(self, channel_id: bytes, epoch: int, change: ReplicaChange) -> None:
         assert (change.host_id, change.in_sync) == (SILENT, False)
@@ -98,9 +99,19 @@ class DirectoryWithoutHosts(Directory):
         return ListedReplicas(OWNER, 1, [])
 
 
-async def test_an_owner_asks_less_often_while_no_host_is_free(monkeypatch: pytest.MonkeyPatch) -> None:
+REFUSALS = {
+    "no host is free": Unavailable("every live host holds the channel", reason="NO_HOST"),
+    "the owner does not know the policy": InvalidArgument("puts wait for replicas", metadata={"field": "acknowledged"}),
+}
+
+
+@pytest.mark.parametrize("refusal", REFUSALS.values(), ids=REFUSALS)
+async def test_an_owner_asks_less_often_while_the_directory_adds_no_replica(
+    monkeypatch: pytest.MonkeyPatch, refusal: StampedeError
+) -> None:
     store: Any = Store()
     directory: Any = DirectoryWithoutHosts()
+    directory.refusal = refusal
     kept = KeptChannel(OWNER, store, directory, lambda target: FrozenConnection(), opened(replicas=1))  # type: ignore[arg-type,return-value]
     tried_at_s = []
     for now_s in range(1000, 1040):

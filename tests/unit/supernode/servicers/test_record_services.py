@@ -12,6 +12,8 @@ from stampede_rt.v1 import channel_pb2, directory_pb2, group_pb2, replica_pb2, s
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import group_directory_service_pb2 as groups_pb
 from stampede_rt.v1 import replica_directory_service_pb2 as replicas_pb
+from stampede_rt.values.model import Policy
+from stampede_rt.wire.records import policy_to_spec
 from tests.support.supernode.memory_log import ProposalOutcome
 from tests.support.supernode.node import Node, reason_of, running_node
 from tests.support.supernode.operations import id_of
@@ -167,6 +169,8 @@ async def test_a_copy_without_a_free_host_is_refused_without_an_entry_in_the_log
     added = await node.replicas.AddReplica(add_request(1, left, kind=WARM))
     index = node.log.index
     assert (await reason_of(node.replicas.AddReplica(add_request(2, left, kind=WARM)))).reason == "NO_HOST"
+    contradicts = add_request(4, left, kind=WARM, acknowledged=True, host_id=id_of(2))
+    assert (await reason_of(node.replicas.AddReplica(contradicts))).reason == "INVALID_ARGUMENT"
     wrong_epoch = add_request(3, left, kind=WARM, epoch=7)
     assert (await reason_of(node.replicas.AddReplica(wrong_epoch))).reason == "WRONG_EPOCH"
     assert node.log.index == index
@@ -174,7 +178,8 @@ async def test_a_copy_without_a_free_host_is_refused_without_an_entry_in_the_log
 
 
 async def test_a_channel_passes_to_the_replica_in_sync_when_the_lease_of_its_owner_ends(node: Node) -> None:
-    left, _ = await two_channels(node)
+    spec = policy_to_spec(Policy(replicas=1, ack="replica"))
+    left = (await node.open("left", host_name="one", spec=spec)).channel.channel_id
     before = await resolved(node, "left")
     await node.replicas.AddReplica(add_request(1, left, kind=WARM, acknowledged=True))
     request = replicas_pb.SetReplicaInSyncRequest(

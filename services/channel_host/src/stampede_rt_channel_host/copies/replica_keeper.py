@@ -35,7 +35,7 @@ logger = logging.getLogger(__name__)
 
 ROUND_SECONDS = 0.2  # a replica that is silent for a second loses its flag at most this time later
 MISSING_SECONDS, LIST_SECONDS = 1.0, 10.0  # how old the list of the directory may be, with replicas missing and without
-# MISSING_SECONDS doubles with each try while no host is free, up to LIST_SECONDS: each try is an entry of the log.
+# MISSING_SECONDS doubles with each try that adds no replica, up to LIST_SECONDS: each try is an entry of the log.
 PAUSE_SECONDS = 0.02
 BIND_SECONDS_MAX = 2.0
 
@@ -182,7 +182,7 @@ class KeptReplicas(ABC):
             try:
                 for _ in range(wanted - len(replicas)):
                     await self._directory.add_replica(self._subject_id, self.epoch, acknowledged=self.waits)
-            except Unavailable as error:  # no host is left
+            except (Unavailable, InvalidArgument) as error:  # no host is left, or this host does not know the policy
                 failure, self._missing_s = error, min(2 * missing_s, LIST_SECONDS)
             replicas = (await self._list()).replicas
         surplus = sorted(replicas, key=lambda one: one.known.in_sync)[: max(0, len(replicas) - wanted)]

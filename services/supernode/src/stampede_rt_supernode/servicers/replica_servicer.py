@@ -20,7 +20,7 @@ from stampede_rt_supernode.codecs.replica_codec import (
     load_message,
     replica_record,
 )
-from stampede_rt_supernode.core.cluster.feature_levels import QUEUE_REPLICAS_LEVEL
+from stampede_rt_supernode.core.cluster.feature_levels import CALLERS_FACTS_LEVEL, QUEUE_REPLICAS_LEVEL
 from stampede_rt_supernode.core.command_table import subject_of
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.records import HostRecord, QueueRecord, ReplicaRecord
@@ -33,7 +33,7 @@ from stampede_rt_supernode.core.replicas.commands import (
     SetReplicaInSync,
 )
 from stampede_rt_supernode.core.replicas.copied_subjects import Copied, copied_by_id
-from stampede_rt_supernode.core.replicas.transitions import check_has_host
+from stampede_rt_supernode.core.replicas.transitions import check_agrees_with_policy, check_has_host
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
 from stampede_rt_supernode.servicers.load_keeper import LoadKeeper
 from stampede_rt_supernode.servicers.queue_servicer import check_queue_known
@@ -141,12 +141,15 @@ class _FoundReplicas:
 
 
 def _check_has_host(directory: Directory, operation: AddReplica, request_id: bytes) -> None:
-    """Refuse a copy for which no host is free, without an entry in the log: its owner asks again and again.
+    """Refuse a copy for which no host is free, or that contradicts the policy, without an entry in the log: the owner
+    repeats its request.
 
     A request that comes again gets its former answer.
     """
     if directory.kept_answers.find(request_id, subject_of(operation)) is None:
         check_has_host(directory.tables, operation)
+        if directory.feature_level >= CALLERS_FACTS_LEVEL:
+            check_agrees_with_policy(directory.tables, operation)
 
 
 def _find(directory: Directory, subject_id: bytes, *, is_of_queue: bool) -> _FoundReplicas:

@@ -215,6 +215,7 @@ def test_a_late_flag_of_a_removed_replica_does_not_count_for_the_replica_that_wa
     """
     log.apply(RaiseFeatureLevel(feature_level=CALLERS_FACTS_LEVEL))
     channel_id = cam(log).channel_id
+    log.apply(update(channel_id, 1, replicas=1, ack="replica"))
     replica = added(log, add_replica(channel_id, 2, warm=True, acknowledged=True))
     flag = replace(set_in_sync(channel_id, 2), change_number=7, added_index=replica.added_index)
     log.apply(remove_replica(channel_id, 2))
@@ -226,6 +227,7 @@ def test_a_late_flag_of_a_removed_replica_does_not_count_for_the_replica_that_wa
 
 def test_a_former_owner_removes_no_replica_of_its_successor(log: Log) -> None:
     log.apply(RaiseFeatureLevel(feature_level=CALLERS_FACTS_LEVEL))
+    log.apply(update(cam(log).channel_id, 1, replicas=2, ack="replica"))
     warm_in_sync(log, 2)
     warm_in_sync(log, 3)
     channel_id, former = cam(log).channel_id, cam(log)
@@ -235,6 +237,22 @@ def test_a_former_owner_removes_no_replica_of_its_successor(log: Log) -> None:
     assert late.reason == "WRONG_EPOCH"
     assert [one.host_id for one in copies(log)] == [id_of(left)]
     assert log.apply(replace(remove_replica(channel_id, left), epoch=cam(log).epoch)) == ReplicaRemoved()
+
+
+def test_a_replica_is_refused_if_it_contradicts_the_ack_of_the_policy(log: Log) -> None:
+    """The owner may not know the latest policy yet. In an earlier version such a replica stayed until the owner's next
+    list.
+    """
+    log.apply(RaiseFeatureLevel(feature_level=CALLERS_FACTS_LEVEL))
+    channel_id = cam(log).channel_id
+    for ack in ("host", "replica"):
+        log.apply(update(channel_id, 1, replicas=1, ack=ack))
+        operation = add_replica(channel_id, 2, warm=True, acknowledged=ack != "replica")
+        refused = refusal(log, operation)
+        assert (refused.reason, refused.metadata["field"]) == ("INVALID_ARGUMENT", "acknowledged")
+        assert refusal(log, replace(operation, epoch=7)).reason == "WRONG_EPOCH"
+        assert copies(log) == ()
+        assert added(log, replace(operation, acknowledged=ack == "replica")).acknowledged is (ack == "replica")
 
 
 def test_below_the_level_replicas_ignore_the_facts_that_a_caller_knows(log: Log) -> None:

@@ -36,7 +36,7 @@ ARCHIVE_LEVEL = 4
 # From this level on queues and mailboxes may have replicas.
 QUEUE_REPLICAS_LEVEL = 4
 # From this level on replicas keep the log position at which each copy was added, and compare the facts that a caller
-# knows: the epoch of a removal, and the log position of a copy.
+# knows: the epoch of a removal, the log position of a copy, and whether puts wait for a new replica.
 CALLERS_FACTS_LEVEL = 4
 
 

@@ -18,6 +18,7 @@ from stampede_rt_supernode.core.replicas.commands import (
 from stampede_rt_supernode.core.replicas.transitions import (
     add_replica,
     check_add_replica,
+    check_agrees_with_policy,
     check_remove_replica,
     check_set_in_sync,
     remove_replica,
@@ -31,8 +32,10 @@ def _channel_and_host(operation: AddReplica | RemoveReplica | SetReplicaInSync) 
 
 
 def _add(state: DirectoryState, operation: AddReplica, time_unix_nano: int) -> ReplicaAdded:
-    keeps_index = state.feature_level >= CALLERS_FACTS_LEVEL
-    return add_replica(state.tables, operation, added_index=state.tables.index if keeps_index else 0)
+    if state.feature_level < CALLERS_FACTS_LEVEL:
+        return add_replica(state.tables, operation, added_index=0)
+    check_agrees_with_policy(state.tables, operation)
+    return add_replica(state.tables, operation, added_index=state.tables.index)
 
 
 def _remove(state: DirectoryState, operation: RemoveReplica, time_unix_nano: int) -> ReplicaRemoved:

@@ -79,6 +79,23 @@ def check_has_host(tables: Tables, operation: AddReplica) -> None:
     _choose_host(tables, subject, operation.host_id)
 
 
+def check_agrees_with_policy(tables: Tables, operation: AddReplica) -> None:
+    """Check that puts wait for the warm replica as the policy says. Changes nothing.
+
+    Raises InvalidArgument, and the errors of `add_replica` about the id and the epoch.
+    """
+    channel = copied_by_id(tables, operation.channel_id, is_of_queue=operation.is_of_queue)
+    check_epoch(channel, operation.epoch)
+    ack = channel.spec.ack if isinstance(channel, QueueRecord) else channel.policy.ack
+    waits = ack == "replica"
+    if operation.kind is ReplicaKind.WARM and operation.acknowledged is not waits:
+        text = f"acknowledged is {operation.acknowledged}, but puts {'wait' if waits else 'do not wait'} for replicas"
+        raise InvalidArgument(
+            f'{shown(channel)}: {text} (ack="{ack or "host"}"); state acknowledged={waits}',
+            metadata=about(channel) | {"field": "acknowledged"},
+        )
+
+
 def add_replica(tables: Tables, operation: AddReplica, *, added_index: int) -> ReplicaAdded:
     """Add a copy. If the host has a copy of the same kind already, returns that copy."""
     check_add_replica(operation)
