@@ -6,6 +6,7 @@ import asyncio
 import threading
 from collections.abc import AsyncIterator, Callable
 from typing import Any
+from unittest.mock import AsyncMock
 
 import grpc
 import pytest
@@ -13,9 +14,13 @@ import pytest
 from stampede_rt.errors import QueueNotFound, StaleBinding, StampedeError, Unavailable
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1.migration_service_pb2_grpc import MigrationServiceStub
+from stampede_rt_channel_host.copies.queues import queue_arrivals
 from stampede_rt_channel_host.copies.queues.queue_arrivals import QueueArrivals
 from stampede_rt_channel_host.copies.queues.queue_handover import QueueHandovers
+from stampede_rt_channel_host.copies.queues.queue_messages import PART_BYTES, ArrivingQueue
+from stampede_rt_channel_host.core.queue import QueueCore
 from stampede_rt_channel_host.queues import refusals
+from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from tests.support.channel_host.queue_rig import OTHER_ID, OpenedQueue, QueueRig, ack, two_queue_hosts
 from tests.support.waiting import pause
 
@@ -29,6 +34,7 @@ class MoveInUse:
         self.source, self.other, self.queue = source, other, queue
         self.has_parts, self.may_restore = asyncio.Event(), threading.Event()
         self.task: asyncio.Task[pb.MoveHereResponse] | None = None
+        self.restored: list[QueueCore] = []
 
     async def begin(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """Begin the move, and wait until the destination has the copy of one moment."""
@@ -37,7 +43,8 @@ class MoveInUse:
         def wait(*arguments: Any) -> Any:
             loop.call_soon_threadsafe(self.has_parts.set)
             assert self.may_restore.wait(30)
-            return restored(*arguments)
+            self.restored.append(restored(*arguments))
+            return self.restored[-1]
 
         monkeypatch.setattr(QueueArrivals, "_restored", wait)
         await self.allow()
@@ -152,6 +159,86 @@ async def test_a_queue_that_is_lost_or_changes_its_journal_during_the_copy_does_
         await pause()
     assert hosted.moving is None, "the source has not held the queue"
     assert move.other.host.queues.known(move.queue.queue_id) is None
+    await _emptied(move.restored[0])
+
+
+async def _emptied(core: QueueCore) -> None:
+    """Wait until the destination has freed a queue that has not moved. `QueueCore.emptying` does this in pieces."""
+    while core.latest_counters().held:
+        await pause()
+
+
+async def test_a_destination_frees_the_queue_whose_commit_is_refused(
+    move: MoveInUse, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In an earlier version, the queue stayed in memory until the next collection of all objects, for ten minutes."""
+    monkeypatch.setattr(queue_arrivals, "until_known", AsyncMock(side_effect=StaleBinding("refused")))
+    await move.begin(monkeypatch)
+    with pytest.raises(grpc.aio.AioRpcError, match="refused"):
+        await move.end()
+    await _emptied(move.restored[0])
+    assert (await move.at(move.source).status()).counters.held == 3
+
+
+async def test_a_destination_without_memory_frees_the_parts_that_have_come(
+    move: MoveInUse, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for number in range(8):
+        await move.queue.put(bytes(PART_BYTES // 2), number=10 + number)
+    made, init = list[ArrivingQueue](), ArrivingQueue.__init__
+
+    def arriving(self: ArrivingQueue) -> None:
+        made.append(self)
+        init(self)
+
+    monkeypatch.setattr(ArrivingQueue, "__init__", arriving)
+    memory = move.other.host.queues.memory
+    memory.bytes_max = memory.used_bytes + 3 * PART_BYTES
+    await move.allow()
+    with pytest.raises(grpc.aio.AioRpcError) as refused:
+        await MigrationServiceStub(move.other.connection).MoveHere(pb.MoveHereRequest(queue_id=move.queue.queue_id))
+    assert refused.value.code() is grpc.StatusCode.RESOURCE_EXHAUSTED
+    assert made[0].size_bytes > 2 * PART_BYTES
+    while made[0]._parts:
+        await pause()
+    assert memory.used_bytes == 0
+    assert (await move.at(move.source).status()).counters.held == 3 + 8
+
+
+async def test_the_source_holds_the_queue_after_it_has_sent_all_long_steps_that_were_made_during_the_copy(
+    move: MoveInUse, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In an earlier version, callers waited until the source had sent the steps of one long message each."""
+    hold, left = HostedQueue.hold, list[int]()
+
+    async def held(self: HostedQueue, error: StampedeError) -> None:
+        assert self.copying is not None
+        left.append(len(self.copying.steps))
+        await hold(self, error)
+
+    monkeypatch.setattr(HostedQueue, "hold", held)
+    await move.begin(monkeypatch)
+    for number in range(8):
+        await move.queue.put(bytes(PART_BYTES), number=10 + number)
+    assert (await move.end()).held == 3 + 8
+    assert left == [0]
+
+
+async def test_the_destination_waits_longer_for_the_first_part_which_comes_after_the_whole_queue_is_copied(
+    move: MoveInUse, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A busy host copies a queue with very many messages for more than 10 s."""
+    part, waits = QueueArrivals._part, list[tuple[float, ...]]()
+
+    async def noted(self: Any, call: Any, *seconds: float) -> pb.HandOverQueueResponse:
+        waits.append(seconds)
+        return await part(self, call, *seconds)
+
+    monkeypatch.setattr(QueueArrivals, "_part", noted)
+    await move.begin(monkeypatch)
+    await move.end()
+    assert waits[0] == (queue_arrivals.COPY_SECONDS_MAX,)
+    assert {*waits[1:]} == {()}
 
 
 async def test_a_queue_makes_no_steps_after_the_destination_of_its_copy_has_gone_and_can_move_later(
@@ -196,11 +283,13 @@ async def test_a_copy_that_lacks_steps_is_not_handed_over(move: MoveInUse) -> No
     copying = hosted.begin_copying()
     with pytest.raises(StaleBinding):
         hosted.begin_copying()
+    scheduler = move.source.host.queues.scheduler
+    await scheduler.do(hosted.copied(copying))
     copying.steps._bytes_max = 1
     await move.queue.put(b"new", number=500)
     with pytest.raises(Unavailable, match="changes faster"):
         hosted.check_copying(copying)
-    move.source.host.queues.scheduler.begin(hosted.end_copying())
+    scheduler.begin(hosted.end_copying())
     error: StampedeError = refusals.deleted(hosted.record)
     second = hosted.begin_copying()
     move.source.host.queues.forget(move.queue.queue_id, error)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from stampede_rt.errors import Overloaded, StampedeError
 from stampede_rt_channel_host.channels.move_under_way import HELD_SECONDS_MAX
+from stampede_rt_channel_host.core.channel import Pieces
 from stampede_rt_channel_host.core.queue import QueueCore, QueueJournal
 
 
@@ -19,6 +20,12 @@ class QueueContent(NamedTuple):
     core: QueueCore
     journal: QueueJournal | None = None
     is_replicated: bool = True
+
+    def emptying(self) -> Pieces[None]:
+        """Free the memory, in pieces, because this host does not serve the queue."""
+        if self.journal is not None:
+            yield from self.journal.stopping()
+        yield from self.core.emptying()
 
 
 class KeptQueue(NamedTuple):

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from stampede_rt_channel_host.core.channel import Pieces
 from stampede_rt_channel_host.core.queue import JOURNAL_BYTES_MAX, QueueCore, QueueJournal
 from stampede_rt_channel_host.core.queue.followed_steps import FollowedSteps
+from stampede_rt_channel_host.core.queue.queue_snapshot import QueueSnapshot
 
 
 class QueueCopying:
-    """The steps of a queue from now on. The owner sends them after a snapshot.
+    """The steps of a queue after a snapshot. The owner sends them after the snapshot.
 
     `journal`: the journal of the queue's replicas; None: it has none, and this object makes a journal.
     """
@@ -19,9 +22,14 @@ class QueueCopying:
         if self._is_own:
             self.journal.bytes_max = 0  # only `steps` keeps the steps
         self.steps = FollowedSteps(JOURNAL_BYTES_MAX)
+
+    def snapshot(self, note: Callable[[], int]) -> Pieces[QueueSnapshot]:
+        """The whole queue, as it is when the last piece ends. From then on, `steps` gets all steps. `note`: see
+        `QueueJournal.snapshot`.
+        """
+        snapshot = yield from self.journal.snapshot(note, None)
         self.journal.follow(self.steps)
-        self.next_step = 0
-        """The number of the first step after the snapshot; the snapshot has the earlier steps."""
+        return snapshot
 
     @property
     def is_complete(self) -> bool:

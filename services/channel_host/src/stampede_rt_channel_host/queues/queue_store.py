@@ -27,8 +27,8 @@ from stampede_rt_channel_host.core.channel import Pieces, batched_keys, one_afte
 from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.records import RecordedChange, RecordedQueue
 from stampede_rt_channel_host.queues import refusals
+from stampede_rt_channel_host.queues.arriving_queues import ArrivingQueues
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
-from stampede_rt_channel_host.queues.queue_content import QueueContent
 from stampede_rt_channel_host.queues.queue_copies import QueueCopies
 from stampede_rt_channel_host.queues.queue_replication import QueueReplication
 from stampede_rt_channel_host.queues.queue_totals import add_counts
@@ -40,7 +40,6 @@ QUEUES_MAX = 100_000
 QUEUES_PER_PIECE = 128
 QUEUES_COMPARED_PER_PIECE = 32  # it takes up to 50 us to log and drop one
 RECORDS_PER_PIECE = 64  # it takes 5 to 15 us to decode a record
-# the most lookups in the directory for one `use`: the store asks again if the host registered during a lookup
 
 
 class QueueStore:
@@ -79,8 +78,8 @@ class QueueStore:
         self.in_use = asyncio.Event()  # set when a queue is first used here
         self._creation_shares = CreationShares(identity.name, "queues", QUEUES_MAX)
         self.takers = IdOwners()  # which caller uses which taker id
-        self._arriving: dict[bytes, tuple[int, QueueContent]] = {}  # with the epoch of this host as the owner
         self.copies = QueueCopies(memory, now, self.may_serve, scheduler)
+        self.arriving = ArrivingQueues(self.copies, scheduler)
         # called with each queue that begins to wait for replicas
         self.on_replicated: Callable[[HostedQueue], None] = lambda hosted: None
         self.departed: Counter[str] = Counter()
@@ -247,14 +246,6 @@ class QueueStore:
             raise Overloaded(f"host {self._identity.name} has {QUEUES_MAX} queues, the limit; use another host")
         self._creation_shares.check(record.created_by)
 
-    def expect(self, record: RecordedQueue, content: QueueContent) -> None:
-        """Serve a queue with this content as soon as the directory names this host as its owner in the next epoch."""
-        self._arriving[record.queue_id] = record.epoch + 1, content
-
-    def give_up(self, queue_id: bytes) -> None:
-        """Stop expecting a queue. Idempotent."""
-        self._arriving.pop(queue_id, None)
-
     def may_serve(self) -> bool:
         """Whether the host may serve its queues."""
         return self._closing is None and self._lease_held()
@@ -312,13 +303,8 @@ class QueueStore:
         if copy is not None and record.epoch <= copy.record.epoch:
             return  # the record is from the time before this host became a replica
         self.check_room(record)
-        epoch, arrived = self._arriving.pop(record.queue_id, (0, None))
-        inherited = self.copies.inherit(record)
-        # It has another incarnation if the former owner was lost and a caller opened the queue before the commit.
-        has_arrived = arrived is not None and epoch == record.epoch and arrived.core.incarnation == record.incarnation
-        content = arrived if has_arrived else inherited
         queue_parts = self.memory, self.now, self._on_dead_letters, self.deadlines, self.may_serve
-        hosted = HostedQueue(record, *queue_parts, content)
+        hosted = HostedQueue(record, *queue_parts, self.arriving.content_of(record))
         hosted.registration = self.registrations
         self._queues[record.queue_id] = hosted
         self._creation_shares.note(record.created_by, +1)

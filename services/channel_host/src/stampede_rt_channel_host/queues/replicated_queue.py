@@ -122,7 +122,7 @@ class ReplicatedQueue(ABC):
 
     def copied(self, copying: QueueCopying) -> Pieces[QueueSnapshot]:
         """The whole queue, as it is when the last piece ends. Raises the errors of `check_copying`."""
-        return copying.journal.snapshot(partial(self.check_copying, copying), None)
+        return copying.snapshot(partial(self.check_copying, copying))
 
     def check_copying(self, copying: QueueCopying) -> int:
         """Make a step of all changes. Returns the time.

@@ -13,11 +13,13 @@ from stampede_rt.errors import InvalidArgument, StaleBinding
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1 import queue_pb2
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
+from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.copies.queues import queue_feed_servicer
 from stampede_rt_channel_host.copies.queues.queue_feed_servicer import SAME_TURN_STEPS_MAX, QueueFeeds, _Feed
 from stampede_rt_channel_host.copies.queues.queue_steps import step_parts, whole_parts
 from stampede_rt_channel_host.copies.replica_directory import FeedSource
-from stampede_rt_channel_host.core.queue import QueueStep
+from stampede_rt_channel_host.core.queue import QueueCore, QueueHandoff, QueueLimits, QueueStep
+from stampede_rt_channel_host.core.queue.queue import EMPTIED_PER_PIECE
 from tests.support.channel_host.queue_cores import Core
 
 
@@ -43,20 +45,28 @@ async def test_a_feed_that_another_owner_has_replaced_begins_no_copy_when_its_qu
     """
     begun: list[Any] = []
     room = SimpleNamespace(claim=lambda size: None, set=lambda size: None)
+
+    def restored(_: object, state: QueueHandoff) -> QueueCore:
+        latest.clear()
+        return QueueCore.restored(QueueLimits(), state, 1, incarnation=1)
+
     copies = SimpleNamespace(
-        drop=lambda queue_id: None, of=lambda queue_id: None, begin=lambda *copy: begun.append(copy),
-        restored=lambda record, state: latest.clear(),
-    )  # fmt: skip
-    queues: Any = SimpleNamespace(
-        copies=copies, memory=SimpleNamespace(charge_for=lambda owner: room), known=lambda queue_id: None
+        drop=lambda queue_id: None, of=lambda queue_id: None, begin=lambda *copy: begun.append(copy), restored=restored
     )
+    queues: Any = SimpleNamespace(
+        copies=copies, memory=SimpleNamespace(charge_for=lambda owner: room), known=lambda queue_id: None,
+        scheduler=SimpleNamespace(begin=lambda pieces: freed.append(sum(1 for _ in pieces))),
+    )  # fmt: skip
     record: Any = SimpleNamespace(queue_id=b"q" * 16, created_by="", name="jobs", host_id=b"h" * 16)
-    core = Core()
+    core, freed = Core(), list[int]()
+    for _ in range(3 * EMPTIED_PER_PIECE):
+        core.put(1)
     request = pb.FeedQueueRequest(begins_anew=True, parts=whole_parts(core.queue.export(core.now), 1))
     latest = ["this feed"]
     with pytest.raises(StaleBinding):
         await _Feed(queues, record).take(request, lambda: bool(latest))
     assert not begun
+    assert freed == [6], "the queue that nobody needs is freed in pieces"
 
 
 def test_a_feed_takes_only_steps_in_the_turn_of_their_arrival() -> None:
@@ -122,13 +132,14 @@ async def test_a_feed_that_ends_within_a_queue_leaves_no_bytes_in_the_budget() -
     memory, owner = MemoryBudget(2**30), b"o" * 16
     copies = SimpleNamespace(of=lambda queue_id: None, drop=lambda queue_id: None, note_feed=lambda queue_id: None)
     queues: Any = SimpleNamespace(
-        copies=copies, memory=memory, known=lambda queue_id: None, check_may_serve=lambda: None
-    )
+        copies=copies, memory=memory, known=lambda queue_id: None, check_may_serve=lambda: None,
+        scheduler=SimpleNamespace(begin=lambda pieces: freed.append(sum(1 for _ in pieces))),
+    )  # fmt: skip
     source = AsyncMock(source_of=AsyncMock(return_value=FeedSource(owner, "owner:1", 4, is_replica=True)))
     record = queue_pb2.QueueRecord(queue_id=b"q" * 16, host_id=owner, epoch=4, incarnation=1)
     content = pb.HandOverQueueResponse(runs=[pb.HandedRun(body=bytes(1000))])
-    unfinished = pb.FeedQueueRequest(begins_anew=True, parts=[pb.FedQueuePart(content=content)])
-    used = list[int]()
+    unfinished = pb.FeedQueueRequest(begins_anew=True, parts=[pb.FedQueuePart(content=content)] * 3)
+    used, freed = list[int](), list[int]()
 
     async def read() -> Any:
         used.append(memory.used_bytes)
@@ -139,6 +150,7 @@ async def test_a_feed_that_ends_within_a_queue_leaves_no_bytes_in_the_budget() -
     await QueueFeeds(SimpleNamespace(host_id=b"r" * 16), queues, source, AsyncMock()).serve(context)  # type: ignore[arg-type]
     assert used[-1] >= 1000
     assert memory.used_bytes == 0
+    assert freed == [3], "each piece frees one part"
 
 
 async def test_a_replica_gives_signs_of_life_while_a_thread_restores_a_whole_queue(
@@ -160,8 +172,9 @@ async def test_a_replica_gives_signs_of_life_while_a_thread_restores_a_whole_que
     )  # fmt: skip
     begun = list[Any]()
     queues: Any = SimpleNamespace(
-        copies=copies, memory=MemoryBudget(2**30), known=lambda queue_id: None, check_may_serve=lambda: None
-    )
+        copies=copies, memory=MemoryBudget(2**30), known=lambda queue_id: None, check_may_serve=lambda: None,
+        scheduler=PieceScheduler(),
+    )  # fmt: skip
     source = AsyncMock(source_of=AsyncMock(return_value=FeedSource(owner, "owner:1", 4, is_replica=True)))
     record = queue_pb2.QueueRecord(queue_id=b"q" * 16, host_id=owner, epoch=4, incarnation=1)
     whole = pb.FeedQueueRequest(begins_anew=True, parts=whole_parts(core.queue.export(core.now), 1))

@@ -36,7 +36,8 @@ from stampede_rt_channel_host.queues.refusals import display_name, moved
 
 logger = logging.getLogger(__name__)
 
-PART_SECONDS_MAX = 10.0  # the former owner may copy the queue, or wait for the ends of streams, in this time
+COPY_SECONDS_MAX = 60.0  # in this time, the former owner copies the queue in pieces, and then sends the first part
+PART_SECONDS_MAX = 10.0  # in this time, the former owner may wait for the ends of streams
 HANDOVER_SECONDS_MAX = 90.0  # longer than the waits of the former owner, which ends the move earlier
 
 
@@ -106,7 +107,7 @@ class QueueArrivals:
     def _over(self, record: RecordedQueue, done: asyncio.Task[MovedQueue]) -> None:
         del self._moves[record.queue_id]
         self._slots.give_back(record)
-        self._queues.give_up(record.queue_id)
+        self._queues.arriving.give_up(record.queue_id)
         if not done.cancelled() and (failure := done.exception()) is not None:
             logger.info("a move of a queue has failed", extra={"event": "move_failed", "why": str(failure)})
 
@@ -143,20 +144,35 @@ class QueueArrivals:
         )
 
     async def _arrived(self, record: RecordedQueue, call: Any, room: Charge) -> _ArrivedQueue:
-        """The whole queue, when its former owner holds it. Raises the errors of `_received`, and InvalidArgument."""
+        """The whole queue, when its former owner holds it. Raises the errors of `_receive`, and InvalidArgument."""
         began_nanos = time.monotonic_ns()
-        first = await self._part(call)
-        as_of = self._queues.now()
-        arriving = await self._received(first, call, room)
-        core = await asyncio.to_thread(self._restored, record, arriving, as_of)
+        first = await self._part(call, COPY_SECONDS_MAX)
+        as_of, arriving = self._queues.now(), ArrivingQueue()
+        try:
+            await self._receive(arriving, first, call, room)
+            core = await asyncio.to_thread(self._restored, record, arriving, as_of)
+        finally:
+            self._queues.scheduler.begin(arriving.freeing())
+        journal = core.journal(arriving.next_step) if arriving.next_step else None
+        content = QueueContent(core, journal)
         if not arriving.steps_follow:  # the former owner has an earlier release
-            journal = core.journal(arriving.next_step) if arriving.next_step else None
-            return _ArrivedQueue(QueueContent(core, journal), arriving.permit, began_nanos)
-        journal = core.journal(arriving.next_step)
+            return _ArrivedQueue(content, arriving.permit, began_nanos)
+        try:
+            return await self._followed(content, call, room)
+        except BaseException:
+            self._queues.scheduler.begin(content.emptying())
+            raise
+
+    async def _followed(self, content: QueueContent, call: Any, room: Charge) -> _ArrivedQueue:
+        """The copy, after all steps that the former owner has made since. Raises the errors of `_part`, Overloaded, and
+        InvalidArgument.
+        """
+        core, journal, parts = content.core, content.journal, ArrivingParts()
+        if journal is None:
+            raise InvalidArgument("the former owner of the queue has not numbered its steps; move it again")
         room.set(0)
         room.claim(core.footprint_bytes)
         await call.write(pb.HandOverQueueRequest(has_copy=True))
-        parts = ArrivingParts()
         while not (response := await self._part(call)).is_held:
             room.claim(response.ByteSize())
             for step in parts.add(response.steps):
@@ -170,25 +186,24 @@ class QueueArrivals:
         content = QueueContent(core, journal if response.facts.next_step else None)
         return _ArrivedQueue(content, response.permit, held_since_nanos)
 
-    async def _part(self, call: Any) -> pb.HandOverQueueResponse:
-        """The next response. Raises Unavailable if there is none, and TimeoutError after PART_SECONDS_MAX."""
-        async with asyncio.timeout(PART_SECONDS_MAX):
+    async def _part(self, call: Any, seconds: float = PART_SECONDS_MAX) -> pb.HandOverQueueResponse:
+        """The next response. Raises Unavailable if there is none, and TimeoutError after `seconds`."""
+        async with asyncio.timeout(seconds):
             part = await call.read()
         if not isinstance(part, pb.HandOverQueueResponse):
             raise Unavailable("the former owner of the queue has ended the move; move it again")
         return part
 
-    async def _received(self, part: pb.HandOverQueueResponse, call: Any, room: Charge) -> ArrivingQueue:
-        """All parts of the queue. `part`: the first one. Raises Overloaded if there is no room for them, and the errors
-        of `_part`.
+    async def _receive(self, arriving: ArrivingQueue, part: pb.HandOverQueueResponse, call: Any, room: Charge) -> None:
+        """Receive all parts of the queue. `part`: the first one. Raises Overloaded if there is no room for them, and
+        the errors of `_part`.
         """
-        arriving = ArrivingQueue()
         while True:
             room.claim(part.ByteSize())
             arriving.add(part)
             room.set(arriving.size_bytes)
             if arriving.is_whole:
-                return arriving
+                return
             part = await self._part(call)
 
     def _restored(self, record: RecordedQueue, arriving: ArrivingQueue, as_of: int) -> QueueCore:
@@ -212,8 +227,8 @@ class QueueArrivals:
 
     async def _take_over(self, record: RecordedQueue, content: QueueContent, permit: bytes) -> RecordedQueue:
         """Become the owner. A caller that asks for the queue right after the commit gets it with its messages."""
+        self._queues.arriving.expect(record, content)
         self._queues.check_room(record)
-        self._queues.expect(record, content)
         request_id = secrets.token_bytes(16)
         commit = partial(self._directory.commit_queue, record.queue_id, record.epoch, request_id, permit)
         registrations = self._queues.registrations

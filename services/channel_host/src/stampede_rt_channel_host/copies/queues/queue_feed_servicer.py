@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable, Iterator
 from functools import partial
 
-from stampede_rt.errors import InvalidArgument
+from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
@@ -132,6 +132,7 @@ class _Feed:
     def close(self) -> None:
         """Drop the parts that wait for the rest, because the feed ends."""
         self._room.set(0)
+        self._queues.scheduler.begin(self._parts.freeing())
 
     def place(self) -> pb.FeedQueueResponse:
         """The place of the copy."""
@@ -151,15 +152,23 @@ class _Feed:
         for arrived in self._arrivals(request):
             if isinstance(arrived, WholeQueue):
                 core = await asyncio.to_thread(self._restored, arrived)
-                # the queue may have another owner now, perhaps this host
-                if not is_latest() or self._queues.known(self.record.queue_id) is not None:
-                    raise refusals.moved(self.record)
-                self._copies.begin(self.record, core, arrived.next_step)
+                try:
+                    self._begin(core, arrived.next_step, is_latest)
+                except StampedeError:
+                    self._queues.scheduler.begin(core.emptying())
+                    raise
             else:
                 self._repeat(*arrived)
         if request.HasField("put") and (copy := self._copies.of(self.record.queue_id)) is not None:
             self._copies.apply(copy, copy.journal.step_of(put_of(request.put)), 0)
         self._note(self.record.queue_id)
+
+    def _begin(self, core: QueueCore, next_step: int, is_latest: Callable[[], bool]) -> None:
+        """Keep the restored queue as the copy. Raises StaleBinding (MOVED), and Overloaded without room for it."""
+        # the queue may have another owner now, perhaps this host
+        if not is_latest() or self._queues.known(self.record.queue_id) is not None:
+            raise refusals.moved(self.record)
+        self._copies.begin(self.record, core, next_step)
 
     def _restored(self, arrived: WholeQueue) -> QueueCore:
         state = arrived.state()

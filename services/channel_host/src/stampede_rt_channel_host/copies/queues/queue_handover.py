@@ -104,7 +104,6 @@ class QueueHandovers:
             await _send(parts_of(snapshot, next_step=snapshot.next_step, steps_follow=True), context)
         finally:
             self._queues.scheduler.begin(snapshot.freeing())
-        copying.next_step = snapshot.next_step
         answer = await context.read()
         if not isinstance(answer, pb.HandOverQueueRequest) or not answer.has_copy:
             raise InvalidArgument(
@@ -115,16 +114,17 @@ class QueueHandovers:
             pass
 
     async def _send_steps(self, hosted: HostedQueue, copying: QueueCopying, context: Context) -> bool:
-        """Send some steps. Returns whether there may be more."""
+        """Send some steps. Returns whether there were more."""
         now = hosted.check_copying(copying)
-        steps = copying.steps.take(STEPS_PER_REQUEST, PART_BYTES, copying.next_step)
+        steps = copying.steps.take(STEPS_PER_REQUEST, PART_BYTES)
+        has_more = len(copying.steps) > 0
         parts = [part for step in steps for part in step_parts(step, now)]
         if sum(part.ByteSize() for part in parts) > PART_BYTES:
             for part in parts:
                 await context.write(pb.HandOverQueueResponse(steps=[part]))
         elif parts:
             await context.write(pb.HandOverQueueResponse(steps=parts))
-        return len(steps) == STEPS_PER_REQUEST
+        return has_more
 
     async def _hand_over(
         self, hosted: HostedQueue, copying: QueueCopying, opening: pb.HandOverQueueOpen, context: Context
@@ -137,9 +137,9 @@ class QueueHandovers:
             if not opening.takes_steps:
                 await self._send_held(hosted, copying, permit, context)
             else:
-                while await self._send_steps(hosted, copying, context) or len(copying.steps):
-                    pass
                 next_step = await self._keep(hosted, held_nanos)
+                while await self._send_steps(hosted, copying, context):
+                    pass
                 facts, waited_nanos = pb.HandedQueueFacts(next_step=next_step), time.monotonic_ns() - held_nanos
                 await context.write(
                     pb.HandOverQueueResponse(is_held=True, permit=permit, facts=facts, held_nanos=waited_nanos)

@@ -16,6 +16,7 @@ from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1 import queue_pb2, replica_service_pb2, subject_pb2
 from stampede_rt_channel_host.copies.message_histories import entries_of, items_of
 from stampede_rt_channel_host.copies.owner_messages import outcome_of, run_to
+from stampede_rt_channel_host.core.channel.pieces import Pieces, run_to_end
 from stampede_rt_channel_host.core.dedup import KeptRun
 from stampede_rt_channel_host.core.queue import (
     AcknowledgedDelivery,
@@ -64,23 +65,15 @@ class ArrivingQueue:
 
     def __init__(self) -> None:
         self._facts: pb.HandedQueueFacts | None = None
-        self._runs: list[tuple[pb.HandedRun, bytearray]] = []
         self._parts: list[pb.HandOverQueueResponse] = []  # in one message, they would take long to free in one step
         self._last = pb.HandOverQueueResponse()
         self.size_bytes = 0
 
     def add(self, part: pb.HandOverQueueResponse) -> None:
-        """Take the next part. Raises InvalidArgument for bytes without a run."""
+        """Take the next part."""
         self.size_bytes += part.ByteSize()
         if part.HasField("facts"):
             self._facts = part.facts
-        if part.more_body:
-            if not self._runs:
-                raise _nonsense("bytes that belong to no run")
-            self._runs[-1][1].extend(part.more_body)
-        self._runs += [(run, bytearray(run.body)) for run in part.runs]
-        part.ClearField("runs")
-        part.ClearField("more_body")
         self._parts.append(part)
         self._last = part
 
@@ -109,12 +102,15 @@ class ArrivingQueue:
         contradicts itself.
         """
         state = self.values()
-        while self._parts:  # in one step the interpreter would run no other thread meanwhile
-            self._parts.pop()
-        while self._runs:
-            self._runs.pop()
+        run_to_end(self.freeing())  # in one step the interpreter would run no other thread meanwhile
         _check(state)
         return state
+
+    def freeing(self) -> Pieces[None]:
+        """Free the parts, in pieces, because nobody needs the queue any more."""
+        while self._parts:
+            self._parts.pop()
+            yield
 
     def values(self) -> QueueHandoff:
         """Like `state`, but the parts need not be a whole queue. Raises InvalidArgument if some are missing."""
@@ -125,10 +121,7 @@ class ArrivingQueue:
             next_seq=self._facts.next_seq,
             next_delivery_id=self._facts.next_delivery_id,
             tally=QueueTally(**{name: getattr(counters, name) for name in _COUNTS}),
-            runs=[
-                QueuedRun(run.first_seq, tuple(run.length_bytes), run.accepted_ago_nanos, bytes(body))
-                for run, body in self._runs
-            ],
+            runs=[*self._runs()],
             held=[SeqRange(one.first_seq, one.first_seq + one.items - 1) for one in self._all("held")],
             items=[*items_of(self._all("messages"))],
             acknowledged=[
@@ -139,6 +132,22 @@ class ArrivingQueue:
                 KnownMessage(one.message_id, one.seq, one.ago_nanos, one.owner) for one in self._all("message_ids")
             ],
         )
+
+    def _runs(self) -> Iterator[QueuedRun]:
+        """The runs. Raises InvalidArgument for bytes without a run."""
+        last: pb.HandedRun | None = None
+        more: list[bytes] = []  # the rest of the body of `last`
+        for part in self._parts:
+            if part.more_body and last is None:
+                raise _nonsense("bytes that belong to no run")
+            if part.more_body:
+                more.append(part.more_body)
+            for run in part.runs:
+                if last is not None:
+                    yield _run_of(last, more)
+                last, more = run, []
+        if last is not None:
+            yield _run_of(last, more)
 
     def _all(self, field: str) -> Iterator[Any]:
         """The entries of a list in all parts."""
@@ -217,6 +226,12 @@ def _id_to(one: KnownMessage) -> pb.HandedMessageId:
 def _parts_of_runs(runs: Iterable[QueuedRun]) -> Iterator[pb.HandOverQueueResponse]:
     """Short runs, many in a part: each part costs both hosts about as much as a hundred messages."""
     return (pb.HandOverQueueResponse(runs=some) for some in _some(_run_to(run, run.body) for run in runs))
+
+
+def _run_of(run: pb.HandedRun, more: Sequence[bytes]) -> QueuedRun:
+    """`more`: the rest of its body."""
+    body = b"".join((run.body, *more))
+    return QueuedRun(run.first_seq, tuple(run.length_bytes), run.accepted_ago_nanos, body)
 
 
 def _run_to(run: QueuedRun, body: bytes) -> pb.HandedRun:

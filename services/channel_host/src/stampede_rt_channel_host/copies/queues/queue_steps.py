@@ -14,6 +14,7 @@ from stampede_rt_channel_host.copies.queues.queue_messages import (
     parts_of,
     seq_ranges,
 )
+from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.queue import QueueHandoff, QueueStep
 
 STEPS_PER_REQUEST = 64  # the copy repeats them in one turn of its event loop; each takes about 30 us
@@ -58,6 +59,10 @@ class ArrivingParts:
     def size_bytes(self) -> int:
         """The bytes of the parts that wait for the rest."""
         return self._arriving.size_bytes
+
+    def freeing(self) -> Pieces[None]:
+        """Free these parts, in pieces."""
+        return self._arriving.freeing()
 
     def begin_anew(self) -> None:
         """Note that the parts of the whole queue follow."""

@@ -16,10 +16,6 @@ FREED_PER_PIECE = 64  # a step may have hundreds of messages
 class FollowedStep(Protocol):
     """A step of a journal."""
 
-    @property
-    def number(self) -> int:
-        """Its number."""
-
     def step(self) -> QueueStep:
         """The step with all its facts."""
 
@@ -47,15 +43,14 @@ class FollowedSteps:
             self.size_bytes += size_bytes
             self.is_too_long = self.size_bytes > self._bytes_max
 
-    def take(self, count_max: int, bytes_max: int, from_number: int = 0) -> list[QueueStep]:
-        """Take the first steps, of about `bytes_max` bytes, but at least one. Drops steps before `from_number`."""
+    def take(self, count_max: int, bytes_max: int) -> list[QueueStep]:
+        """Take the first steps, of about `bytes_max` bytes, but at least one."""
         found: list[QueueStep] = []
         while self._steps and len(found) < count_max and bytes_max > 0:
             step, size_bytes = self._steps.popleft()
             self.size_bytes -= size_bytes
-            if step.number >= from_number:
-                found.append(step.step())
-                bytes_max -= size_bytes
+            found.append(step.step())
+            bytes_max -= size_bytes
         return found
 
     def freeing(self) -> Pieces[None]:

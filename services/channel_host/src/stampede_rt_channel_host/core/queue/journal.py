@@ -129,8 +129,8 @@ class QueueJournal:
         self._followers.append(steps)
 
     def unfollow(self, steps: FollowedSteps) -> None:
-        """End `follow`."""
-        self._followers.remove(steps)
+        """End `follow`. Idempotent."""
+        self._followers = [one for one in self._followers if one is not steps]
 
     def note(self, now: int, put: AheadPut | None = None) -> bool:
         """Make a step of all changes since the last step. Returns False if nothing has changed.
