@@ -346,6 +346,18 @@ MUTANTS = (
         noticed_by="tests/robustness/takeovers/test_flags_of_replicas.py",
     ),
     Mutant(
+        name="a_caller_removes_a_replica_in_sync",
+        file=f"{SUPERNODE}/core/replicas/kinds.py",
+        edits=(("elif is_left_to_owner(state.tables, operation):", "elif False:"),),
+        noticed_by="tests/unit/supernode/core/replicas/test_transitions.py",
+    ),
+    Mutant(
+        name="the_feed_of_a_removed_replica_counts",
+        file=f"{HOST}/channels/owned_replicas.py",
+        edits=(("self._feeds.pop(host_id, None)", "self._feeds.get(None)"),),
+        noticed_by="tests/unit/channel_host/channels/test_owned_replicas.py",
+    ),
+    Mutant(
         name="a_message_is_acknowledged_by_its_host_alone",
         file=f"{HOST}/queues/replica_acks.py",
         edits=(('if replication is None or not ack.HasField("first_seq"):', "if True:"),),

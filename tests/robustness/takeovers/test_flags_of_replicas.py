@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -59,7 +60,8 @@ def play(ack: str, events: Callable[[Scenario], Awaitable[None]]) -> tuple[Repli
 @pytest.mark.parametrize(("before", "after"), [("replica", "host"), ("host", "replica")])
 def test_the_directory_refuses_a_replica_of_an_owner_that_does_not_know_the_new_policy(before: str, after: str) -> None:
     """The answer to the change of the policy comes late. In an earlier version the replica stayed. With `ack="host"` it
-    became the owner under the same incarnation, although items were lost.
+    became the owner under the same incarnation, although items were lost. The owner also removes a replica that a
+    caller adds meanwhile.
     """
 
     async def events(scenario: Scenario) -> None:
@@ -67,6 +69,12 @@ def test_the_directory_refuses_a_replica_of_an_owner_that_does_not_know_the_new_
         cluster.apply(update(cluster.channel_id, cluster.channel.epoch, ack=after))
         await asyncio.sleep(SETTLED_SECONDS)
         assert scenario.replicas() == ()
+        number, is_acknowledged = 3 - scenario.callers.owner_number(), after == "replica"
+        epoch = cluster.channel.epoch
+        adding = add_replica(cluster.channel_id, number, epoch=epoch, warm=True, acknowledged=is_acknowledged)
+        cluster.apply(adding)
+        await asyncio.sleep(SETTLED_SECONDS)
+        assert scenario.replicas() == (), "the owner has removed it"
         await scenario.bind()
         await asyncio.sleep(SETTLED_SECONDS)
 
@@ -120,7 +128,7 @@ def test_a_late_answer_about_a_removed_replica_does_not_drop_the_replica_that_wa
         channel_id, owner = cluster.channel_id, callers.owner_number()
         number = 3 - owner
         lookup = LateLookup(cluster.hosts[number].directory)
-        cluster.apply(remove_replica(channel_id, number))
+        cluster.apply(replace(remove_replica(channel_id, number), epoch=cluster.channel.epoch))
         checking = asyncio.create_task(cluster.hosts[number].copies._check_removed([channel_id]))
         await lookup.is_answered.wait()
         cluster.apply(add_replica(channel_id, number, epoch=cluster.channel.epoch, warm=True, acknowledged=True))

@@ -100,6 +100,7 @@ class ReplicaDirectoryServiceServicer(object):
 
     def RemoveReplica(self, request, context):
         """Remove a copy. Its readers get MOVED, and go to the owner. Idempotent: if there is no such copy, the call succeeds.
+        A request without an epoch leaves a copy that is in sync as it is, and succeeds: the owner counts on this copy.
         Errors: CHANNEL_NOT_FOUND, WRONG_EPOCH.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)

@@ -54,6 +54,7 @@ class ReplicaDirectoryServiceStub:
     """
     RemoveReplica: _grpc.UnaryUnaryMultiCallable[_replica_directory_service_pb2.RemoveReplicaRequest, _replica_directory_service_pb2.RemoveReplicaResponse]
     """Remove a copy. Its readers get MOVED, and go to the owner. Idempotent: if there is no such copy, the call succeeds.
+    A request without an epoch leaves a copy that is in sync as it is, and succeeds: the owner counts on this copy.
     Errors: CHANNEL_NOT_FOUND, WRONG_EPOCH.
     """
     SetReplicaInSync: _grpc.UnaryUnaryMultiCallable[_replica_directory_service_pb2.SetReplicaInSyncRequest, _replica_directory_service_pb2.SetReplicaInSyncResponse]
@@ -97,6 +98,7 @@ class ReplicaDirectoryServiceAsyncStub(ReplicaDirectoryServiceStub):
     """
     RemoveReplica: _aio.UnaryUnaryMultiCallable[_replica_directory_service_pb2.RemoveReplicaRequest, _replica_directory_service_pb2.RemoveReplicaResponse]  # type: ignore[assignment]
     """Remove a copy. Its readers get MOVED, and go to the owner. Idempotent: if there is no such copy, the call succeeds.
+    A request without an epoch leaves a copy that is in sync as it is, and succeeds: the owner counts on this copy.
     Errors: CHANNEL_NOT_FOUND, WRONG_EPOCH.
     """
     SetReplicaInSync: _aio.UnaryUnaryMultiCallable[_replica_directory_service_pb2.SetReplicaInSyncRequest, _replica_directory_service_pb2.SetReplicaInSyncResponse]  # type: ignore[assignment]
@@ -149,6 +151,7 @@ class ReplicaDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_replica_directory_service_pb2.RemoveReplicaResponse, _abc.Awaitable[_replica_directory_service_pb2.RemoveReplicaResponse]]:
         """Remove a copy. Its readers get MOVED, and go to the owner. Idempotent: if there is no such copy, the call succeeds.
+        A request without an epoch leaves a copy that is in sync as it is, and succeeds: the owner counts on this copy.
         Errors: CHANNEL_NOT_FOUND, WRONG_EPOCH.
         """
 

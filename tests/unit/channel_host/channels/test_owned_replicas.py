@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 
-from stampede_rt.errors import Unavailable
+import pytest
+
+from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt_channel_host.channels.owned_replicas import SAME_TURN_WRITES_MAX, OwnedReplicas
 from stampede_rt_channel_host.core.replication import KnownReplica, ReplicasInSync
 
@@ -15,6 +17,8 @@ FENCED = Unavailable("the host could not renew its lease in time")
 class Feed:
     """A feed that sends nothing. It ends if the owner takes something back."""
 
+    ended: StampedeError | None = None
+
     def __init__(self, replicas: Replicas, host_id: bytes) -> None:
         self._replicas, self._host_id = replicas, host_id
 
@@ -23,6 +27,9 @@ class Feed:
 
     def take_back(self) -> None:
         self._replicas.discard(self._host_id, self)
+
+    def end(self, error: StampedeError) -> None:
+        self.ended = error
 
 
 class Replicas(OwnedReplicas[Feed]):
@@ -64,6 +71,32 @@ def test_a_replica_without_its_flag_in_the_directory_counts_no_more() -> None:
     assert replicas.copies(NEXT) == 1, "the log has cleared the flag once more"
     replicas.join()
     assert replicas.copies(NEXT) == 2
+
+
+@pytest.mark.parametrize("before", [[KnownReplica(REPLICA, 1, False, 7)], []], ids=["added again", "listed late"])
+def test_a_late_report_does_not_count_for_a_replica_that_was_added_after_the_feed_had_begun(
+    before: list[KnownReplica],
+) -> None:
+    """The directory had removed the replica, and its host has dropped all items. In an earlier version the new replica
+    came in sync.
+    """
+    replicas = Replicas()
+    replicas.know(before)
+    replicas.know([KnownReplica(REPLICA, 1, False, 8)])
+    replicas.join()
+    assert replicas.copies(NEXT) == 1
+    assert not replicas.is_fed(REPLICA)
+    assert replicas.feed.ended is not None
+
+
+def test_the_feed_of_a_removed_replica_ends() -> None:
+    replicas = Replicas()
+    replicas.know([KnownReplica(REPLICA, 1, False)])
+    replicas.know([KnownReplica(REPLICA, 1, False)])
+    assert replicas.is_fed(REPLICA)
+    replicas.know([])
+    assert not replicas.is_fed(REPLICA)
+    assert replicas.feed.ended is not None
 
 
 def test_the_owner_waits_for_a_replica_that_has_a_flag_of_which_the_owner_did_not_know() -> None:

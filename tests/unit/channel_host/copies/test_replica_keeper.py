@@ -99,6 +99,35 @@ class DirectoryWithoutHosts(Directory):
         return ListedReplicas(OWNER, 1, [])
 
 
+class DirectoryOfTwo(Directory):
+    """A directory with two replicas in sync, and no other ones after a removal."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.hosts = [FROZEN, SILENT]
+
+    async def replicas_of(self, channel_id: bytes) -> ListedReplicas:
+        return ListedReplicas(
+            OWNER, 1, [ListedReplica(KnownReplica(one, 1, True), "replica:1", False) for one in self.hosts]
+        )
+
+    async def remove_replica(self, channel_id: bytes, epoch: int, host_id: bytes) -> None:
+        self.hosts.remove(host_id)
+
+
+async def test_a_surplus_replica_counts_no_more_after_its_removal() -> None:
+    """In an earlier version it counted until the next list. Meanwhile the owner could clear the flag of the other one,
+    and acknowledge puts that only the removed replica had.
+    """
+    hosted = opened(replicas=1)
+    store: Any = Store()
+    directory: Any = DirectoryOfTwo()
+    kept = KeptChannel(OWNER, store, directory, lambda target: FrozenConnection(), hosted)  # type: ignore[arg-type,return-value]
+    await kept.look()
+    assert hosted.replication is not None
+    assert [*hosted.replication.states()] == directory.hosts == [SILENT]
+
+
 REFUSALS = {
     "no host is free": Unavailable("every live host holds the channel", reason="NO_HOST"),
     "the owner does not know the policy": InvalidArgument("puts wait for replicas", metadata={"field": "acknowledged"}),

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from stampede_rt.errors import Unavailable
+from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.values.queueing import QueuePolicy
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.core.deadlines import Deadlines
@@ -32,6 +32,9 @@ class Feed:
 
     def send_ahead(self, put: AheadPut) -> None:
         raise AssertionError("the queue puts no message ahead")
+
+    def end(self, error: StampedeError) -> None:
+        pass
 
     def take_back(self) -> None:
         raise AssertionError("the queue puts no message ahead")

@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import pytest
 
-from stampede_rt.errors import InvalidArgument, MalformedRun
+from stampede_rt.errors import InvalidArgument, MalformedRun, StampedeError
 from stampede_rt.values.queueing import QueuePolicy
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.core.channel import run_to_end
@@ -41,6 +41,9 @@ class Feed:
     def send_ahead(self, put: AheadPut) -> None:
         self.puts.append(put)
         self.events.append(("ahead", put.seq, self._owner.stored_bytes()))
+
+    def end(self, error: StampedeError) -> None:
+        self.events.append("ended")
 
     def take_back(self) -> None:
         self.events.append("taken back")

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
-from stampede_rt.errors import StampedeError
+from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChange, ReplicasInSync, ReplicaState
 
 READY_SECONDS_MAX = 3.0
@@ -23,6 +23,9 @@ class OwnersFeed(Protocol):
 
     def wake(self) -> None:
         """Note that the channel or queue has changed."""
+
+    def end(self, error: StampedeError) -> None:
+        """Note that the host no longer feeds the replica over this stream."""
 
     def take_back(self) -> None:
         """Note that a defect has kept the owner from storing an item or step that it sent ahead. If this feed has sent
@@ -91,8 +94,14 @@ class OwnedReplicas(ABC, Generic[Feed]):
         return self._in_sync.is_known
 
     def know(self, replicas: list[KnownReplica]) -> None:
-        """Take over the replicas that the directory has."""
-        self._in_sync.know(replicas, self._steady_nanos())
+        """Take over the replicas that the directory has.
+
+        Ends the feeds of removed replicas, also if the directory has added them again: a report that comes late over
+        such a feed is about items that the host may have dropped.
+        """
+        for host_id in self._in_sync.know(replicas, self._steady_nanos()):
+            if (feed := self._feeds.pop(host_id, None)) is not None:
+                feed.end(Unavailable("the directory has removed the replica, or has added it again"))
         self.release_replicated()
 
     def states(self) -> dict[bytes, ReplicaState]:

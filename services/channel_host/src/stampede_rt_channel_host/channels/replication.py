@@ -21,9 +21,6 @@ UNSEEN_BYTES_MAX = 64 * 2**20
 class ReplicaFeed(OwnersFeed, Protocol):
     """The feed of one replica."""
 
-    def end(self, error: StampedeError) -> None:
-        """Note that the host no longer feeds the replica over this stream."""
-
     def send_ahead(self, item: NewItem) -> None:
         """Send an item that the channel is about to store, if the replica lacks nothing else. Raises nothing."""
 

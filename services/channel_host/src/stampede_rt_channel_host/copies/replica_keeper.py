@@ -161,9 +161,9 @@ class KeptReplicas(ABC):
     async def _list(self) -> ListedReplicas:
         """The directory's replicas. Removes replicas of the other kind.
 
-        The owner adds such a replica if it does not know yet that the directory has changed the policy. The directory
-        then believes, for example, that puts wait for the replica, although they do not. Such a replica would become
-        the owner under the same incarnation although items are lost.
+        A caller may have added such a replica before the owner knows that the directory has changed the policy. The
+        directory then believes, for example, that puts wait for the replica, although they do not. Such a replica would
+        become the owner under the same incarnation although items are lost.
         """
         listed = await self._directory.replicas_of(self._subject_id)
         if listed.owner_host_id == self._host_id and listed.epoch == self.epoch:
@@ -185,13 +185,21 @@ class KeptReplicas(ABC):
             except (Unavailable, InvalidArgument) as error:  # no host is left, or this host does not know the policy
                 failure, self._missing_s = error, min(2 * missing_s, LIST_SECONDS)
             replicas = (await self._list()).replicas
-        surplus = sorted(replicas, key=lambda one: one.known.in_sync)[: max(0, len(replicas) - wanted)]
-        await self._remove(surplus, listed.epoch)
-        for one in replicas:
+        for one in await self._without_surplus(replicas, listed.epoch):
             if one.target and not self._replication.is_fed(one.known.host_id):
                 self.start(one)
         if failure is not None:
             self._log_failure(failure)
+
+    async def _without_surplus(self, replicas: list[ListedReplica], epoch: int) -> list[ListedReplica]:
+        """Remove the replicas that are too many. Returns the others."""
+        surplus = sorted(replicas, key=lambda one: one.known.in_sync)[: max(0, len(replicas) - self.wanted)]
+        if not surplus:
+            return replicas
+        await self._remove(surplus, epoch)
+        left = [one for one in replicas if one not in surplus]
+        self._replication.know([one.known for one in left])
+        return left
 
     async def _remove(self, replicas: list[ListedReplica], epoch: int) -> None:
         """Remove replicas that were listed at `epoch`. Raises StaleBinding if the channel or queue has another one."""

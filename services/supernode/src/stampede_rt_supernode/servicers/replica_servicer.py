@@ -33,7 +33,7 @@ from stampede_rt_supernode.core.replicas.commands import (
     SetReplicaInSync,
 )
 from stampede_rt_supernode.core.replicas.copied_subjects import Copied, copied_by_id
-from stampede_rt_supernode.core.replicas.transitions import check_agrees_with_policy, check_has_host
+from stampede_rt_supernode.core.replicas.transitions import check_agrees_with_policy, check_has_host, is_left_to_owner
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
 from stampede_rt_supernode.servicers.load_keeper import LoadKeeper
 from stampede_rt_supernode.servicers.queue_servicer import check_queue_known
@@ -68,7 +68,8 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
         operation = RemoveReplica(
             channel_id=subject_id, is_of_queue=is_of_queue, host_id=request.host_id, epoch=request.epoch
         )
-        await self._calls.submit(context, operation, ReplicaRemoved, request.request_id)
+        if not await self._calls.read(context, lambda one: _leaves_to_owner(one, operation)):
+            await self._calls.submit(context, operation, ReplicaRemoved, request.request_id)
         return pb.RemoveReplicaResponse()
 
     @errors_as_status
@@ -150,6 +151,11 @@ def _check_has_host(directory: Directory, operation: AddReplica, request_id: byt
         check_has_host(directory.tables, operation)
         if directory.feature_level >= CALLERS_FACTS_LEVEL:
             check_agrees_with_policy(directory.tables, operation)
+
+
+def _leaves_to_owner(directory: Directory, operation: RemoveReplica) -> bool:
+    """Whether the directory does nothing, without an entry in the log: owners of an earlier release repeat it."""
+    return directory.feature_level >= CALLERS_FACTS_LEVEL and is_left_to_owner(directory.tables, operation)
 
 
 def _find(directory: Directory, subject_id: bytes, *, is_of_queue: bool) -> _FoundReplicas:

@@ -255,6 +255,20 @@ def test_a_replica_is_refused_if_it_contradicts_the_ack_of_the_policy(log: Log) 
         assert added(log, replace(operation, acknowledged=ack == "replica")).acknowledged is (ack == "replica")
 
 
+@pytest.mark.parametrize("ack", ["host", "replica"])
+def test_a_caller_without_the_epoch_removes_no_replica_on_which_the_owner_counts(log: Log, ack: str) -> None:
+    """In an earlier version the owner acknowledged puts by this replica until its next list, for up to 10 s."""
+    log.apply(RaiseFeatureLevel(feature_level=CALLERS_FACTS_LEVEL))
+    channel_id = cam(log).channel_id
+    log.apply(update(channel_id, 1, replicas=1, ack=ack))
+    warm_in_sync(log, 2, acknowledged=ack == "replica")
+    assert log.apply(remove_replica(channel_id, 2)) == ReplicaRemoved()
+    assert [one.in_sync for one in copies(log)] == [True]
+    log.apply(set_in_sync(channel_id, 2, False))
+    assert log.apply(remove_replica(channel_id, 2)) == ReplicaRemoved()
+    assert copies(log) == ()
+
+
 def test_below_the_level_replicas_ignore_the_facts_that_a_caller_knows(log: Log) -> None:
     channel_id = cam(log).channel_id
     replica = added(log, add_replica(channel_id, 2, warm=True, acknowledged=True))

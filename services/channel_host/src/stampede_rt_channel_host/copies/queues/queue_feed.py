@@ -92,6 +92,10 @@ class QueueFeedStream:
         except Exception as error:  # noqa: BLE001 - as in `wake`
             self._fail(error)
 
+    def end(self, error: StampedeError) -> None:
+        """See `OwnersFeed`."""
+        self._fail(error)
+
     def take_back(self) -> None:
         """See `OwnersFeed`."""
         error = None if self._ahead is None else self._ahead.take_back()

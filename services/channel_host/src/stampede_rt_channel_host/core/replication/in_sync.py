@@ -133,21 +133,32 @@ class ReplicasInSync:
         self._replicas.clear()
         self._is_known = False
 
-    def know(self, replicas: Iterable[KnownReplica], now: int) -> None:
-        """Take over the replicas that the directory has. Before the first call nothing is replicated."""
+    def know(self, replicas: Iterable[KnownReplica], now: int) -> set[bytes]:
+        """Take over the replicas that the directory has. Before the first call nothing is replicated.
+
+        Returns the hosts whose replicas the directory has removed or added since the call before; none at first.
+        """
         known = {one.host_id: one for one in replicas}
-        for host_id in [*self._replicas]:
-            if not self._replicas[host_id].is_same(known.get(host_id)):
-                del self._replicas[host_id]  # the directory never makes such a replica the owner
+        removed = {host_id for host_id, one in self._replicas.items() if not one.is_same(known.get(host_id))}
+        for host_id in removed:
+            del self._replicas[host_id]  # the directory never makes such a replica the owner
+        added = known.keys() - self._replicas.keys()
         for one in known.values():
-            if one.host_id not in self._replicas:
+            if one.host_id in added:
                 self._replicas[one.host_id] = _Replica(one, self._next_seq, now)
-            elif self._replicas[one.host_id].state is (ReplicaState.OUT if one.in_sync else ReplicaState.IN):
-                # Another owner has changed the flag meanwhile, or a directory of an earlier release does not say that a
-                # caller has removed the replica and added it again.
-                self._become(self._replicas[one.host_id], ReplicaState.LEAVING, now)
-        self._is_known = True
+            else:
+                self._compare_flag(one, now)
+        was_known, self._is_known = self._is_known, True
         self._advance_replicated()
+        return removed | added if was_known else set()
+
+    def _compare_flag(self, known: KnownReplica, now: int) -> None:
+        """Clear the flag if another owner has changed it meanwhile, or if a directory of an earlier release does not
+        say that a caller has removed the replica and added it again.
+        """
+        replica = self._replicas[known.host_id]
+        if replica.state is (ReplicaState.OUT if known.in_sync else ReplicaState.IN):
+            self._become(replica, ReplicaState.LEAVING, now)
 
     @property
     def is_fully_replicated(self) -> bool:

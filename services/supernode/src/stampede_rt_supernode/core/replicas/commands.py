@@ -29,7 +29,8 @@ class AddReplica(Operation):
 class RemoveReplica(Operation):
     """Remove the copy of a channel or queue at a host.
 
-    `epoch`: the present epoch, as the caller knows it; 0: the directory does not compare it.
+    `epoch`: the present epoch, as the caller knows it; 0: the directory does not compare it, and removes only
+    a copy that is not in sync.
     """
 
     channel_id: bytes

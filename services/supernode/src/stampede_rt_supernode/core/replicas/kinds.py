@@ -21,6 +21,7 @@ from stampede_rt_supernode.core.replicas.transitions import (
     check_agrees_with_policy,
     check_remove_replica,
     check_set_in_sync,
+    is_left_to_owner,
     remove_replica,
     set_in_sync,
 )
@@ -41,6 +42,8 @@ def _add(state: DirectoryState, operation: AddReplica, time_unix_nano: int) -> R
 def _remove(state: DirectoryState, operation: RemoveReplica, time_unix_nano: int) -> ReplicaRemoved:
     if state.feature_level < CALLERS_FACTS_LEVEL:
         operation = replace(operation, epoch=0)
+    elif is_left_to_owner(state.tables, operation):
+        return ReplicaRemoved()
     return remove_replica(state.tables, operation)
 
 

@@ -205,6 +205,17 @@ def remove_replica(tables: Tables, operation: RemoveReplica) -> ReplicaRemoved:
     return ReplicaRemoved()
 
 
+def is_left_to_owner(tables: Tables, operation: RemoveReplica) -> bool:
+    """Whether only the owner, which names its epoch, may remove the copy.
+
+    This is so if the copy may become the owner. The owner counts on such a copy, and would acknowledge puts that no
+    copy of the directory has. Raises InvalidArgument, ChannelNotFound and QueueNotFound.
+    """
+    subject = copied_by_id(tables, operation.channel_id, is_of_queue=operation.is_of_queue)
+    there = tables.replicas.at(id_of(subject), operation.host_id)
+    return not operation.epoch and there is not None and there.in_sync
+
+
 def drop_copy(tables: Tables, channel: Copied, host_id: bytes) -> None:
     """Remove the copy of `channel` at a host, if there is one."""
     held = tables.replicas.of(id_of(channel))
