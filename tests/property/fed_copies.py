@@ -141,7 +141,7 @@ class FedCopy:
             collection=part.collection,
             advance=part.advance,
             now=self.pair.clock,
-            owner=part.owner,
+            owner_part=part.owner_part,
         )
 
     def repeat(self) -> None:
@@ -150,8 +150,8 @@ class FedCopy:
         If time has passed, without the consumer places: their leases would last longer.
         """
         if self.last is not None and self.feed is not None:
-            if self.last.owner is not None and self.last_at != self.pair.clock:
-                self.last = self.last._replace(owner=self.last.owner._replace(places=None))
+            if self.last.owner_part is not None and self.last_at != self.pair.clock:
+                self.last = self.last._replace(owner_part=self.last.owner_part._replace(places=None))
             before = held_by(self.channel, self.pair.clock), self.channel.place, self.channel.counters(0)
             self.apply(self.last)
             assert before == (held_by(self.channel, self.pair.clock), self.channel.place, self.channel.counters(0))

@@ -153,7 +153,9 @@ class Scenario:
         self.pair.oracle.age(clock)
         self.pair.core.collect(clock)  # so that both have applied the present time
         copy.catch_up()
-        while copy.feed is not None and copy.feed.owner is not None and not copy.feed.owner.is_complete(clock):
+        while (
+            copy.feed is not None and copy.feed.owner_facts is not None and not copy.feed.owner_facts.is_complete(clock)
+        ):
             copy.take(10**6)
         former, window = self.pair.core, self.window
         for one in self.copies:

@@ -101,7 +101,7 @@ class Scenario:
             self.copy.apply(
                 first_seq=part.first_seq, cleared=part.cleared, runs=[stored(one) for one in part.slices],
                 next_seq=part.next_seq, collection=part.collection, advance=part.advance, now=self.clock,
-                owner=part.owner,
+                owner_part=part.owner_part,
             )  # fmt: skip
 
     def subscribe(self) -> None:

@@ -238,9 +238,9 @@ def test_parts_whose_seqs_follow_each_other_are_one() -> None:
 def test_one_caller_with_very_many_producers_displaces_only_its_own_producers(bounds: dict[str, int]) -> None:
     window = RetryWindow(**bounds)
     for producer_id in range(1, 11):
-        window.record(producer_id, 1, accepted(1, producer_id), owner="good")
+        window.record(producer_id, 1, accepted(1, producer_id), caller_name="good")
     for producer_id in range(1000, 3000):
-        window.record(producer_id, 1, accepted(1, producer_id), owner="hostile")
+        window.record(producer_id, 1, accepted(1, producer_id), caller_name="hostile")
     assert all(window.find(one, 1, 1, now=0) is not None for one in range(1, 11)), (
         "the good producers stay, although they were silent longest"
     )
@@ -260,6 +260,6 @@ def test_a_full_window_looks_at_all_producers_once_for_many_new_ones(monkeypatch
 
     monkeypatch.setattr(RetryWindow, "_shed", counted)
     for producer_id in range(1, 1281):
-        window.record(producer_id, 1, accepted(1, producer_id), owner="hostile")
+        window.record(producer_id, 1, accepted(1, producer_id), caller_name="hostile")
     assert sheds <= 64
     assert 630 <= len(window) <= 640

@@ -75,7 +75,7 @@ class Owner:
     def put(self, *lengths: int, producer_id: int = 7, message_id: str = "", number: int = 0) -> Enqueue:
         run = Enqueue(
             lengths or (3,), lambda first_seq, positions, stamped_time: b"run %d" % first_seq, producer_id=producer_id,
-            first_number=number or self.number, message_id=message_id, wait_nanos=0, owner="client cam",
+            first_number=number or self.number, message_id=message_id, wait_nanos=0, caller_name="client cam",
         )  # fmt: skip
         self.number += len(run.lengths)
         with suppress(StopIteration):

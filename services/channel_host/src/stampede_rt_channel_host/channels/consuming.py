@@ -13,14 +13,14 @@ from stampede_rt_channel_host.core.channel import LEASE_NANOS, Pieces
 SEQS_PER_PIECE = 256
 
 
-def consuming(store: ChannelStore, request: pb.ConsumeRequest, owner: str = "") -> Pieces[pb.ConsumeResponse]:
+def consuming(store: ChannelStore, request: pb.ConsumeRequest, caller_name: str = "") -> Pieces[pb.ConsumeResponse]:
     """Consume items for one consumer, in pieces, and accept the waiting puts for which there is room now.
 
-    An invalid request consumes nothing. `owner`: the name of the caller; empty if the number of its consumer places has
-    no limit. Raises InvalidArgument, StaleBinding if the host does not serve the channel, ChannelFull if all consumer
-    places are taken, and IncarnationLost if the seqs belong to another incarnation. Raises Overloaded if the caller has
-    too many places, or if the memory for seqs that are consumed out of order is used up. If the memory is used up, the
-    first pieces may have consumed some of the items.
+    An invalid request consumes nothing. `caller_name`: the name of the caller; empty if the number of its consumer
+    places has no limit. Raises InvalidArgument, StaleBinding if the host does not serve the channel, ChannelFull if all
+    consumer places are taken, and IncarnationLost if the seqs belong to another incarnation. Raises Overloaded if the
+    caller has too many places, or if the memory for seqs that are consumed out of order is used up. If the memory is
+    used up, the first pieces may have consumed some of the items.
     """
     hosted, lease_nanos, seqs, items = _find(store, request), _lease_nanos(request), sorted(request.seqs), 0
     yield from hosted.core.catching_up(store.now())
@@ -28,9 +28,11 @@ def consuming(store: ChannelStore, request: pb.ConsumeRequest, owner: str = "") 
     while len(seqs) > SEQS_PER_PIECE:
         part, seqs = seqs[:SEQS_PER_PIECE], seqs[SEQS_PER_PIECE:]
         # a lease of 0 in the request gives the consumer's place up: only the last piece may do that
-        items += _find(store, request).consume(request.consumer_id, part, max(lease_nanos, LEASE_NANOS), owner).items
+        items += (
+            _find(store, request).consume(request.consumer_id, part, max(lease_nanos, LEASE_NANOS), caller_name).items
+        )
         yield
-    last = _find(store, request).consume(request.consumer_id, seqs, lease_nanos, owner)
+    last = _find(store, request).consume(request.consumer_id, seqs, lease_nanos, caller_name)
     return pb.ConsumeResponse(consumed=items + last.items, lease_nanos=last.lease_nanos)
 
 

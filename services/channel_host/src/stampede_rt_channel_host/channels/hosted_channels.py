@@ -189,24 +189,24 @@ class HostedChannel:
         self.changed(now)
         return advanced
 
-    def consume(self, consumer_id: int, seqs: Sequence[int], lease_nanos: int, owner: str = "") -> ConsumptionResult:
+    def consume(
+        self, consumer_id: int, seqs: Sequence[int], lease_nanos: int, caller_name: str = ""
+    ) -> ConsumptionResult:
         """Consume items for one consumer, and accept the waiting puts for which there is room now.
 
-        Raises InvalidArgument, and ChannelFull if all consumer places are taken. Raises Overloaded if the memory for
-        the seqs that were consumed out of order is used up, or if the caller `owner` has too many places or its
-        consumption takes too much memory.
+        Raises InvalidArgument, ChannelFull if all consumer places are taken, and Overloaded if the memory for seqs that
+        are consumed out of order is used up, or if the caller has too many places or uses too much of this memory.
         """
         now = self._now()
         self.core.check_consumption(consumer_id, seqs, lease_nanos)
-        most, shares = CONSUMER_BYTES + CONSUMED_RANGE_BYTES * len(seqs), self._charge.consumption_shares
-        if not (self._charge.has_room(most) and shares.has_room(owner, most)):
-            wanted = self.core.consumption_bytes(consumer_id, seqs)
-            shares.check(owner, wanted)
-            if wanted:
-                # consumption frees items, so it may use a little more memory than puts (CONSUMPTION_SHARE)
-                self._charge.claim(wanted - self._charge.spare_bytes)
-        consumed = self.core.consume(consumer_id, seqs, now, lease_nanos=lease_nanos, caller_name=owner)
-        shares.note(owner, self.core)
+        bytes_max, shares = CONSUMER_BYTES + CONSUMED_RANGE_BYTES * len(seqs), self._charge.consumption_shares
+        if not (self._charge.has_room(bytes_max) and shares.has_room(caller_name, bytes_max)):
+            new_bytes = self.core.consumption_bytes(consumer_id, seqs)
+            shares.check(caller_name, new_bytes)
+            if new_bytes:  # consumption frees items: it may use a little more memory than puts (CONSUMPTION_SHARE)
+                self._charge.claim(new_bytes - self._charge.spare_bytes)
+        consumed = self.core.consume(consumer_id, seqs, now, lease_nanos=lease_nanos, caller_name=caller_name)
+        shares.note(caller_name, self.core)
         if self.replication is not None:
             self.replication.accepted(now)
         self.puts.changed(now)  # this also calls `_touched`

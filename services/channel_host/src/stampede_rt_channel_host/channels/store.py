@@ -19,7 +19,7 @@ from stampede_rt_channel_host.channels.frames import SharedDeliveries
 from stampede_rt_channel_host.channels.host_clocks import HostClocks
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.hosted_copies import HostedCopies, inherits, is_left_to_move, redirect_error
-from stampede_rt_channel_host.channels.limits.id_owners import IdOwners
+from stampede_rt_channel_host.channels.limits.caller_ids import CallerIds
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.multicast.multicasts import Multicasts
 from stampede_rt_channel_host.channels.new_channels import NewCopy, OwnedCore
@@ -80,7 +80,7 @@ class ChannelStore:
         self.refused_calls = refused_calls or RefusedCalls()
         self.recordings = Recordings()
         self.sweep = Sweep(self.now)
-        self.consumers = IdOwners()
+        self.consumers = CallerIds()
         self.readers = Readers()
         self.departed = ChannelTotals()
         """The counters of the channels that this host served before."""

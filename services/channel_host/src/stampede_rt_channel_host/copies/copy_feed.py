@@ -295,8 +295,8 @@ class CopyFeed:
 
     def _beginning_of(self, state: pb.FeedState) -> dict[str, Any]:
         """The fields of a part that the copy applies before its runs."""
-        owner = facts_of(state, self._store.now())
-        return {"first_seq": state.first_seq, "cleared": cleared_of(state), "owner": owner}
+        owner_part = facts_of(state, self._store.now())
+        return {"first_seq": state.first_seq, "cleared": cleared_of(state), "owner_part": owner_part}
 
     def _store_runs(self, runs: Sequence[Run], answer: Callable[[], None] | None = None, **part: Any) -> int:
         """Apply a part of the feed with `runs`. Returns the bytes that they cost the source's credit.

@@ -269,12 +269,12 @@ class FeedStream:
             self._check_destination(hosted)
             now = self._store.now()
             part = None if self._is_handed_over else self._feed.take(now, self._writer.limit_bytes)
-            if self._feed.owner is not None:  # a proxy shows its readers its age instead
+            if self._feed.owner_facts is not None:  # a proxy shows its readers its age instead
                 self._lag.check(hosted.record.name, self._source.next_seq - self._feed.next_seq, now)
             handoff = None if self._handoff is None else self._handoff.next_handoff(now)
             encoded = self._next_message(hosted, part, handoff)
             # a proxy that has all items needs no second look
-            has_all = self._feed.owner is None and part is not None and part.next_seq == self._source.next_seq
+            has_all = self._feed.owner_facts is None and part is not None and part.next_seq == self._source.next_seq
             part = None  # frees the runs before the message is written
             if handoff is not None:
                 await self._hand_off(encoded)

@@ -98,16 +98,16 @@ def losses_of(message: pb.FeedOpened) -> Losses:
 
 def state_to(part: FeedPart, now: int) -> pb.FeedState:
     """The facts of a part, without its items and without the facts about the source itself. `now`: its clock."""
-    owner = part.owner
-    is_put = owner is not None and isinstance(owner.counters, GrowingCounts)
+    owner_part = part.owner_part
+    is_put = owner_part is not None and isinstance(owner_part.counters, GrowingCounts)
     return pb.FeedState(
         first_seq=part.first_seq,
         next_seq=part.next_seq,
         cleared=None if part.cleared is None else _key_to(part.cleared),
         collection=None if part.collection is None else _collection_to(part.collection),
         advance_unix_nano=part.advance,
-        owner=None if owner is None or is_put else owner_to(owner, now),
-        put=None if owner is None or not is_put else put_to(owner, now),
+        owner=None if owner_part is None or is_put else owner_to(owner_part, now),
+        put=None if owner_part is None or not is_put else put_to(owner_part, now),
         accepted=None if part.accepted is None else _accepted_to(part.accepted),
         advance_accepted_unix_nano=None if part.advanced is None else part.advanced.accepted,
     )

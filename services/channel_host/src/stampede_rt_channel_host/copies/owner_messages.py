@@ -50,7 +50,7 @@ def put_to(part: OwnerPart, now: int) -> pb.FedPut:
     (accepted,) = run.outcome.parts
     return pb.FedPut(
         producer_id=run.producer_id,
-        owner=run.owner,
+        owner=run.caller_name,
         first_number=run.first_number,
         items=accepted.items,
         first_seq=accepted.first_seq,
@@ -94,7 +94,7 @@ def retries_of(encoded: bytes, now: int) -> list[KeptRun]:
 def _producer_to(runs: list[KeptRun], now: int) -> pb.FedProducer:
     return pb.FedProducer(
         producer_id=runs[0].producer_id,
-        owner=runs[0].owner,
+        owner=runs[0].caller_name,
         runs=[run_to(one.first_number, one.outcome, now) for one in runs],
     )
 

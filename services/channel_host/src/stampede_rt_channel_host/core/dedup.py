@@ -37,22 +37,22 @@ _NOTHING = RunOutcome(0, 0, (), (), 0)
 
 
 class KeptRun(NamedTuple):
-    """A run as the window knows it, for the host that takes the channel or queue over. `owner`: as in `record`."""
+    """A run in the window, for the host that takes the channel or queue over. `caller_name`: as in `record`."""
 
     producer_id: int
     first_number: int
     outcome: RunOutcome
-    owner: str = ""
+    caller_name: str = ""
 
 
 class KnownProducer:
     """One producer's latest runs, in the order in which they were recorded. `end` is above all their numbers.
 
     `odd` holds the outcomes that do not fit in the array, by first number. `latest` is the time of the last record.
-    `owner` is the name of the caller that put last. `recorded` counts the records.
+    `caller_name` is the name of the caller that put last. `recorded` counts the records.
     """
 
-    __slots__ = ("_begin", "_columns", "_odd_bytes", "end", "latest", "odd", "owner", "recorded")
+    __slots__ = ("_begin", "_columns", "_odd_bytes", "caller_name", "end", "latest", "odd", "recorded")
 
     def __init__(self) -> None:
         self._columns = array("q")
@@ -61,7 +61,7 @@ class KnownProducer:
         self.odd: dict[int, RunOutcome] = {}
         self.end = 0
         self.latest = 0
-        self.owner = ""
+        self.caller_name = ""
         self.recorded = 0
 
     def __len__(self) -> int:
@@ -108,7 +108,12 @@ class KnownProducer:
     def copied(self) -> KnownProducer:
         """A copy for `runs`."""
         copy = KnownProducer.__new__(KnownProducer)
-        copy._columns, copy._begin, copy.odd, copy.owner = self._columns[:], self._begin, {**self.odd}, self.owner
+        copy._columns, copy._begin, copy.odd, copy.caller_name = (
+            self._columns[:],
+            self._begin,
+            {**self.odd},
+            self.caller_name,
+        )
         return copy
 
     def find(self, producer_id: int, first_number: int, end: int, since: int) -> RunOutcome | None:
@@ -213,7 +218,7 @@ class RetryWindow:
             self._forget(run.producer_id)
             known = None
         if known is None or known[:-1] != run.outcome[:-1]:
-            self.record(run.producer_id, run.first_number, run.outcome, run.owner)
+            self.record(run.producer_id, run.first_number, run.outcome, run.caller_name)
 
     def keep_up_to(self, next_seq: int) -> None:
         """Forget the entries about items with the seq `next_seq` or a later one, because they are lost.
@@ -244,11 +249,11 @@ class RetryWindow:
             return None
         return producer.find(producer_id, first_number, first_number + items, now - KEPT_NANOS)
 
-    def record(self, producer_id: int, first_number: int, outcome: RunOutcome, owner: str = "") -> None:
+    def record(self, producer_id: int, first_number: int, outcome: RunOutcome, caller_name: str = "") -> None:
         """Keep the outcome of a run, or of its first items, as of `outcome.time`.
 
-        Keeps nothing for producer id 0, or if no item was accepted. `owner` is the name of the caller; empty if the
-        caller has no name of its own.
+        Keeps nothing for producer id 0, or if no item was accepted. `caller_name` is the name of the caller; empty if
+        the caller has no name of its own.
         """
         if not producer_id or not outcome.parts:
             return
@@ -257,7 +262,7 @@ class RetryWindow:
             producer = self.producers[producer_id] = KnownProducer()
             self.footprint_bytes += producer.footprint_bytes
         self.producers.move_to_end(producer_id)
-        producer.owner = owner
+        producer.caller_name = caller_name
         self.recorded += 1
         before = producer.footprint_bytes
         producer.add(first_number, outcome)
@@ -293,11 +298,11 @@ class RetryWindow:
         others = list(self.producers.items())[:-1]
         sizes: Counter[str] = Counter()
         for _, producer in others:
-            sizes[producer.owner] += size(producer)
+            sizes[producer.caller_name] += size(producer)
         largest = max(sizes, key=sizes.__getitem__, default="")
         freed = 0
         for producer_id, producer in others:
-            if producer.owner == largest:
+            if producer.caller_name == largest:
                 freed += size(producer)
                 self._forget(producer_id)
                 if freed >= least:
@@ -319,7 +324,7 @@ def kept_runs(producers: Mapping[int, KnownProducer], now: int) -> Iterator[Kept
         latest = dict(reversed(list(producer.runs())))
         for first_number, outcome in latest.items():
             if outcome.time > now - KEPT_NANOS:
-                yield KeptRun(producer_id, first_number, outcome, producer.owner)
+                yield KeptRun(producer_id, first_number, outcome, producer.caller_name)
 
 
 def _odd_bytes(outcome: RunOutcome) -> int:

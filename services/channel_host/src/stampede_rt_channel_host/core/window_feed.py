@@ -57,16 +57,16 @@ class WindowFeed:
             return None
         self._sent[producer_id] = producer, producer.recorded
         self._recorded, self._left_at = window.recorded, outcome.time
-        return KeptRun(producer_id, first_number, outcome, producer.owner)
+        return KeptRun(producer_id, first_number, outcome, producer.caller_name)
 
-    def pass_put(self, producer_id: int, owner: str, time: int) -> bool:
+    def pass_put(self, producer_id: int, caller_name: str, time: int) -> bool:
         """Note that the other window gets the next record of this window, made at `time`, in another way.
 
         Returns False, and notes nothing, if the other window lacks earlier records, or does not know the producer.
         """
         producer = self._window.producers.get(producer_id)
         is_known = producer is not None and self._sent.get(producer_id) == (producer, producer.recorded)
-        if producer is None or not is_known or not self.is_caught_up or producer.owner != owner:
+        if producer is None or not is_known or not self.is_caught_up or producer.caller_name != caller_name:
             return False
         self._sent[producer_id] = producer, producer.recorded + 1
         self._recorded, self._left_at = self._recorded + 1, time
@@ -89,7 +89,7 @@ class WindowFeed:
         self._sent[producer_id] = producer, producer.recorded
         latest = dict(reversed([*islice(producer.runs(), new)]))
         return [
-            KeptRun(producer_id, first_number, outcome, producer.owner)
+            KeptRun(producer_id, first_number, outcome, producer.caller_name)
             for first_number, outcome in latest.items()
             if outcome.time >= self._since
         ]

@@ -58,7 +58,7 @@ class EnqueueStream:
         self._queue_id, self._epoch, self._producer_id = b"", 0, 0
         self._acks: AckWriter  # made when the stream is served
         self._account = current_account()
-        self._owner = own_name()
+        self._caller_name = own_name()
         self._rights = request_rights(_lose)
         self._work = current_work()
         whole = WholeRequests(context.read, store.memory.requests, self._account)
@@ -141,7 +141,7 @@ class EnqueueStream:
             if message.origin:
                 check_forwards(caller_identity(self._context))
                 check_not_judged("set the origin of a run, as of a dead letter")
-            run = enqueue_of(message, self._producer_id, received_s, self._owner)
+            run = enqueue_of(message, self._producer_id, received_s, self._caller_name)
         except StampedeError as error:
             if hosted is not None:
                 hosted.refuse_unread(error)

@@ -69,12 +69,12 @@ def read_request(raw: bytes | bytearray) -> EnqueueRequest:
     return EnqueueRequest(request.queue_id, request.epoch, request.producer_id, runs)
 
 
-def enqueue_of(message: EnqueueRun, producer_id: int, received_s: float, owner: str = "") -> Enqueue:
+def enqueue_of(message: EnqueueRun, producer_id: int, received_s: float, caller_name: str = "") -> Enqueue:
     """The run as a value of the core, which has still to accept or refuse it.
 
-    `received_s`: the monotonic time at which the request came. `owner`: see `RetryWindow.record`. Raises MalformedRun
-    if the columns, the message id or the origin of the run are invalid, and ItemTooLarge for a message larger than any
-    queue can hold.
+    `received_s`: the monotonic time at which the request came. `caller_name`: see `RetryWindow.record`. Raises
+    MalformedRun if the columns, the message id or the origin of the run are invalid, and ItemTooLarge for a message
+    larger than any queue can hold.
     """
     encoded = message.run
     columns = parse_run(encoded)
@@ -93,7 +93,7 @@ def enqueue_of(message: EnqueueRun, producer_id: int, received_s: float, owner: 
         first_number=message.first_number,
         wait_nanos=None if message.wait_nanos is None else left_nanos(message.wait_nanos, received_s),
         message_id=_message_id_of(message, items),
-        owner=owner,
+        caller_name=caller_name,
     )
 
 

@@ -16,8 +16,8 @@ from sortedcontainers import SortedDict
 
 from stampede_rt.errors import Overloaded, QueueNotFound, StaleBinding, StampedeError
 from stampede_rt_channel_host.channels.confirmed_records import confirmed_record
+from stampede_rt_channel_host.channels.limits.caller_ids import CallerIds
 from stampede_rt_channel_host.channels.limits.creation_shares import CreationShares
-from stampede_rt_channel_host.channels.limits.id_owners import IdOwners
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.cluster.identity import HostIdentity
@@ -77,7 +77,7 @@ class QueueStore:
         self.deadlines: Deadlines[HostedQueue] = Deadlines()
         self.in_use = asyncio.Event()  # set when a queue is first used here
         self._creation_shares = CreationShares(identity.name, "queues", QUEUES_MAX)
-        self.takers = IdOwners()  # which caller uses which taker id
+        self.takers = CallerIds()  # which caller uses which taker id
         self.copies = QueueCopies(memory, now, self.may_serve, scheduler)
         self.arriving = ArrivingQueues(self.copies, scheduler)
         # called with each queue that begins to wait for replicas

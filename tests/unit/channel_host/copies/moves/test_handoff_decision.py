@@ -60,6 +60,6 @@ def test_the_copy_gets_the_outcomes_of_waiting_runs_before_the_channel_is_handed
     assert source.handoff_decision.next_handoff(source.now) is None
     part = source.feed.take(source.now, MOST_BYTES)
     assert part is not None
-    assert part.owner is not None
-    assert [run.outcome.judged_items for run in part.owner.runs] == [2]
+    assert part.owner_part is not None
+    assert [run.outcome.judged_items for run in part.owner_part.runs] == [2]
     assert source.handoff_decision.next_handoff(source.now) is not None

@@ -35,7 +35,7 @@ def message_of(put: AheadPut) -> pb.FeedQueueRequest:
     return pb.FeedQueueRequest(put=pb.FedQueuePut(
         step=put.number, seq=put.seq, producer_id=put.producer_id, first_number=put.first_number,
         stamped_unix_nano=put.stamped_time or 0, payload_length_bytes=put.length,
-        is_stamped=put.stamped_time is not None, owner=put.owner, run=put.body,
+        is_stamped=put.stamped_time is not None, owner=put.caller_name, run=put.body,
     ))  # fmt: skip
 
 

@@ -43,25 +43,25 @@ def test_a_caller_of_many_message_ids_makes_the_queue_forget_only_ids_of_that_ca
     core = Core()
     good = [f"g{number}" for number in range(20)]
     for message_id in good:
-        core.put(1, message_id=message_id, owner="good")
+        core.put(1, message_id=message_id, caller_name="good")
     for number in range(1000):
-        core.put(1, message_id=f"x{number}", owner="greedy")
+        core.put(1, message_id=f"x{number}", caller_name="greedy")
     assert core.queue.footprint_bytes < core.queue.counters(core.now).held * 500
-    assert all(core.put(1, message_id=one, owner="good").is_duplicate for one in good)
-    assert core.put(1, message_id="x999", owner="greedy").is_duplicate
-    assert not core.put(1, message_id="x0", owner="greedy").is_duplicate
+    assert all(core.put(1, message_id=one, caller_name="good").is_duplicate for one in good)
+    assert core.put(1, message_id="x999", caller_name="greedy").is_duplicate
+    assert not core.put(1, message_id="x0", caller_name="greedy").is_duplicate
 
 
 def test_forgotten_message_ids_use_no_memory() -> None:
     core, known = Core(), message_ids.MessageIds()
     for number in range(300):
-        known.record(f"m{number}", number, core.now, owner=f"caller-{number % 7}")
-    known.record("m0", 301, core.now + TEN_MINUTES + 1, owner="caller-0")
+        known.record(f"m{number}", number, core.now, caller_name=f"caller-{number % 7}")
+    known.record("m0", 301, core.now + TEN_MINUTES + 1, caller_name="caller-0")
     while known.forget_one(core.now + 2 * TEN_MINUTES + 1):
         pass
     assert known.footprint_bytes == 0
-    assert not known._messages_of_owners
-    assert not known._bytes_of_owner
+    assert not known._messages_by_caller
+    assert not known._bytes_by_caller
 
 
 def test_only_one_of_two_waiting_runs_with_the_same_message_id_is_accepted() -> None:

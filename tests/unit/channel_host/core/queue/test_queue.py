@@ -408,14 +408,14 @@ def test_the_waiting_runs_of_one_caller_leave_room_for_the_runs_of_others(monkey
     monkeypatch.setattr(enqueue_line, "WAITING_BYTES_OF_ONE_MAX", 3000)
     core = Core(max_items=1)
     core.put(1)
-    first = core.put(2900, owner="greedy")
+    first = core.put(2900, caller_name="greedy")
     with pytest.raises(Overloaded, match=r"greedy with 29.. bytes wait for room .* one caller may have 3000"):
-        core.put(900, owner="greedy")
-    waiting = core.put(900, owner="good")
+        core.put(900, caller_name="greedy")
+    waiting = core.put(900, caller_name="good")
     assert not waiting.is_done
     core.queue.withdraw(first, core.now)
     core.queue.withdraw(waiting, core.now)
-    assert not core.put(3500, owner="greedy").is_done, "one run of each caller may wait, however large"
+    assert not core.put(3500, caller_name="greedy").is_done, "one run of each caller may wait, however large"
 
 
 def test_one_call_handles_a_bounded_number_of_ended_leases_and_the_next_call_is_due_immediately() -> None:
@@ -469,7 +469,7 @@ def test_a_taker_finds_every_returned_copy_even_with_few_looks_per_call(
 
 def test_a_moved_queue_continues_with_its_state() -> None:
     core = Core(copies=2, lease_nanos=100)
-    core.put(1, 2, 3, producer_id=5, first_number=1, owner="ann")
+    core.put(1, 2, 3, producer_id=5, first_number=1, caller_name="ann")
     core.taker(1, credit=2)
     core.dispatched()
     core.ack(1, 1)
@@ -483,7 +483,9 @@ def test_a_moved_queue_continues_with_its_state() -> None:
     ]
     core.queue = QueueCore.restore(core.queue.limits, state, 10**6, incarnation=1)
     core.now = 10**6
-    assert [one.owner for one in core.queue.export(core.now).producers] == ["ann"], "the state has the callers, too"
+    assert [one.caller_name for one in core.queue.export(core.now).producers] == ["ann"], (
+        "the state has the callers, too"
+    )
     assert core.counted("accepted", "held", "leased", "delivered", "given_back") == (3, 3, 1, 3, 1)
     assert core.ack(1, 1) == core.ack(2, 3) == [""]
     repeated = core.put(1, 2, 3, producer_id=5, first_number=1)

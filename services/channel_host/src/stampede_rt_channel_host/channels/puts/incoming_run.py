@@ -19,8 +19,8 @@ class IncomingRun:
     """One run that a producer puts, until the run has its ack. `wait_nanos` None: the run may wait without limit."""
 
     __slots__ = (
-        "_done", "_encoded", "_timer", "ack", "first_number", "items", "offer", "owner", "producer_id", "progress",
-        "wait_nanos", "writer",
+        "_done", "_encoded", "_timer", "ack", "caller_name", "first_number", "items", "offer", "producer_id",
+        "progress", "wait_nanos", "writer",
     )  # fmt: skip
 
     def __init__(
@@ -31,10 +31,10 @@ class IncomingRun:
         producer_id: int,
         first_number: int,
         wait_nanos: int | None,
-        owner: str = "",
+        caller_name: str = "",
         writer: str = LOCAL_WRITER,
     ) -> None:
-        """`owner`: see `RetryWindow.record`. `writer`: the caller's name for `Writers`.
+        """`caller_name`: see `RetryWindow.record`. `writer`: the caller's name for `Writers`.
 
         `columns`: the columns of a run of one item that is not encoded yet.
 
@@ -49,7 +49,7 @@ class IncomingRun:
         self.producer_id = producer_id
         self.first_number = first_number
         self.wait_nanos = wait_nanos
-        self.owner = owner
+        self.caller_name = caller_name
         self.writer = writer
         self.ack: pb.PutAck | None = None
         self._encoded = encoded

@@ -79,7 +79,7 @@ class PutStream:
         self._refused: tuple[int, StampedeError] | None = None  # the run that the producer sends again, and the reason
         self._judged_at: HostedChannel | None = None  # the channel of the latest run
         self._account = current_account()
-        self._owner = own_name()
+        self._caller_name = own_name()
         self._writer = shown_name() or UNNAMED
         self._rights = request_rights(_lose)
         self._work = current_work()
@@ -267,7 +267,7 @@ class PutStream:
             producer_id=self._producer_id,
             first_number=put.first_number,
             wait_nanos=wait_nanos,
-            owner=self._owner,
+            caller_name=self._caller_name,
             writer=self._writer,
         )
 

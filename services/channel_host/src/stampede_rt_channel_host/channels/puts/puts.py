@@ -327,7 +327,7 @@ class ChannelPuts:
 
     def _remember(self, run: IncomingRun, now: int) -> RunOutcome:
         judged = run.progress.outcome(now)
-        self.retries.record(run.producer_id, run.first_number, judged, run.owner)
+        self.retries.record(run.producer_id, run.first_number, judged, run.caller_name)
         return judged
 
     def _arm(self, retry_at: int | None, now: int) -> None:

@@ -43,7 +43,7 @@ class ReplicatedPuts:
         duration = ABSENT if offer.durations is None or run.items > 1 else offer.durations[0]
         item = NewItem(
             first_seq, run.producer_id, run.first_number, time, duration, sum(offer.lengths), stamped_time is not None,
-            now, body, run.owner, run.items,
+            now, body, run.caller_name, run.items,
         )  # fmt: skip
         self._replication.send_ahead(item)
         return body

@@ -51,7 +51,9 @@ class HandoffDecision:
 
     def _has_everything(self, now: int) -> bool:
         feed = self._feed
-        return feed.owner is not None and feed.next_seq == feed.source_next_seq and feed.owner.is_complete(now)
+        return (
+            feed.owner_facts is not None and feed.next_seq == feed.source_next_seq and feed.owner_facts.is_complete(now)
+        )
 
     def _is_fully_replicated(self) -> bool:
         replication = self._hosted.replication

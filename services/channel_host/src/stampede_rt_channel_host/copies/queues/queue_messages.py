@@ -220,7 +220,7 @@ def _acknowledgement_to(one: AcknowledgedDelivery) -> pb.HandedAcknowledgement:
 
 
 def _id_to(one: KnownMessage) -> pb.HandedMessageId:
-    return pb.HandedMessageId(message_id=one.message_id, seq=one.seq, ago_nanos=one.time, owner=one.owner)
+    return pb.HandedMessageId(message_id=one.message_id, seq=one.seq, ago_nanos=one.time, owner=one.caller_name)
 
 
 def _parts_of_runs(runs: Iterable[QueuedRun]) -> Iterator[pb.HandOverQueueResponse]:
@@ -255,7 +255,7 @@ def _producer_to(runs: Sequence[KeptRun]) -> Iterator[replica_service_pb2.FedPro
     """
     aged = ((one.first_number, one.outcome._replace(time=-one.outcome.time)) for one in runs)
     for some in _some(run_to(number, outcome, 0) for number, outcome in aged):
-        yield replica_service_pb2.FedProducer(producer_id=runs[0].producer_id, owner=runs[0].owner, runs=some)
+        yield replica_service_pb2.FedProducer(producer_id=runs[0].producer_id, owner=runs[0].caller_name, runs=some)
 
 
 def _runs_of(producer: replica_service_pb2.FedProducer) -> Iterator[KeptRun]:

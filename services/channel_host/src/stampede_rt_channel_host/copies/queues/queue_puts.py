@@ -34,8 +34,8 @@ def encode_put(put: AheadPut) -> bytes:
     head = _HEAD.encode(
         put.number, put.seq, put.producer_id, put.first_number, stamped or 0, put.length, stamped is not None
     )
-    owner = put.owner.encode()
-    return _PUT.encode(head, _OWNER.head(len(owner)), owner, _RUN.head(len(put.body)), put.body)
+    caller_name = put.caller_name.encode()
+    return _PUT.encode(head, _OWNER.head(len(caller_name)), caller_name, _RUN.head(len(put.body)), put.body)
 
 
 def read_put(raw: bytes | memoryview) -> AheadPut:
@@ -53,13 +53,14 @@ def _read_fixed(raw: bytes | memoryview) -> AheadPut | None:
     if put is None or put[1] != len(raw):
         return None
     values = _HEAD.read(raw, put[0])
-    owner = _OWNER.find(raw, put[0] + _HEAD.size_bytes)
-    run = None if owner is None or owner[1] >= len(raw) else _RUN.find(raw, owner[1])
-    if values is None or owner is None or run is None or run[1] != len(raw):
+    name_range = _OWNER.find(raw, put[0] + _HEAD.size_bytes)
+    run = None if name_range is None or name_range[1] >= len(raw) else _RUN.find(raw, name_range[1])
+    if values is None or name_range is None or run is None or run[1] != len(raw):
         return None
     number, seq, producer_id, first_number, stamped, length, is_stamped = values
-    stamped_time, name = stamped if is_stamped else None, str(raw[slice(*owner)], "utf-8")
-    return AheadPut(number, seq, producer_id, first_number, length, stamped_time, name, bytes(raw[slice(*run)]))
+    stamped_time, caller_name = stamped if is_stamped else None, str(raw[slice(*name_range)], "utf-8")
+    body = bytes(raw[slice(*run)])
+    return AheadPut(number, seq, producer_id, first_number, length, stamped_time, caller_name, body)
 
 
 def put_of(message: pb.FedQueuePut) -> AheadPut:

@@ -103,7 +103,7 @@ class FedChannel(ChannelCore):
 
     def apply(
         self, *, first_seq: int, cleared: ItemKey | None, runs: Sequence[Run], next_seq: int,
-        collection: CollectionFacts | None, advance: int | None, now: int, owner: OwnerPart | None = None,
+        collection: CollectionFacts | None, advance: int | None, now: int, owner_part: OwnerPart | None = None,
         accepted: AcceptedRows | None = None, advanced: AcceptedAdvance | None = None,
     ) -> None:  # fmt: skip
         """Apply the next part of the feed (see `FeedPart`). Ignores items that the copy has had before.
@@ -114,8 +114,8 @@ class FedChannel(ChannelCore):
         if next_seq < self.next_seq:
             return
         self._tick(now)
-        if owner is not None and self.owner_facts is not None:
-            self.owner_facts.apply(owner, now)
+        if owner_part is not None and self.owner_facts is not None:
+            self.owner_facts.apply(owner_part, now)
         if cleared is not None and first_seq == self.next_seq:
             self._held.clear_below(cleared)
         for run in runs:
@@ -156,10 +156,10 @@ class FedChannel(ChannelCore):
         """Apply a part of the feed for which `check_item` raises nothing. `run`: its items."""
         item = fed.item
         moved = None if fed.collected is None else self._collection.with_floor(fed.collected)
-        owner = None if self.owner_facts is None else self.owner_facts.part_of(item, now)
+        owner_part = None if self.owner_facts is None else self.owner_facts.part_of(item, now)
         self.apply(
             first_seq=item.seq, cleared=None, runs=(run,), next_seq=item.end_seq, collection=moved, advance=None,
-            now=now, owner=owner,
+            now=now, owner_part=owner_part,
         )  # fmt: skip
 
     def check_place(self, first_seq: int) -> None:

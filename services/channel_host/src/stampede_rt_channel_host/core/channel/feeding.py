@@ -64,8 +64,8 @@ class FeedPart(NamedTuple):
     before this part, because the source has set its floor back since the previous part; None: the floor was not set
     back. `slices`: the next items, in the order of seqs. `next_seq`: the copy's place after this part. Seqs before
     it that the copy has not got are missing: the source no longer holds their items. `collection` and `advance` are
-    None if they have not changed since the previous part. `owner`: the facts that only the owner knows, if the copy
-    has asked for them. `accepted` and `advanced`: when the owner of a recorded channel accepted the items, and the
+    None if they have not changed since the previous part. `owner_part`: the facts that only the owner knows, if the
+    copy has asked for them. `accepted` and `advanced`: when the owner of a recorded channel accepted the items, and the
     advance; None: the copy has not asked for the owner's facts, or the instants are not known.
     """
 
@@ -75,13 +75,15 @@ class FeedPart(NamedTuple):
     next_seq: int
     collection: CollectionFacts | None
     advance: int | None
-    owner: OwnerPart | None = None
+    owner_part: OwnerPart | None = None
     accepted: AcceptedRows | None = None
     advanced: AcceptedAdvance | None = None
 
     def can_join(self, former: FeedPart) -> bool:
         """Whether one part can replace both parts: this part has no items, and clears no items of `former`."""
-        return self.next_seq == former.next_seq and (self.cleared is None or not former.slices) and self.owner is None
+        return (
+            self.next_seq == former.next_seq and (self.cleared is None or not former.slices) and self.owner_part is None
+        )
 
     def joined_to(self, former: FeedPart) -> FeedPart:
         """`former` with the state of this part."""
@@ -154,7 +156,7 @@ class ChannelFeed:
         self._sent: tuple[CollectionFacts | None, int | None] = None, None
         held.report_resets_to(self._note_reset)
         since = None if self.begins_anew or place is None else place.owner_until
-        self.owner = None if window is None else OwnerFactsFeed(source, window, since, takes_puts=takes_puts)
+        self.owner_facts = None if window is None else OwnerFactsFeed(source, window, since, takes_puts=takes_puts)
 
     @property
     def next_seq(self) -> int:
@@ -177,9 +179,9 @@ class ChannelFeed:
         With a limit of 0 the part has no items. The sizes are counted as in `ChannelCore.since`.
         """
         before = self.next_seq
-        owner = None if self.owner is None else self.owner.take(now)
+        owner_part = None if self.owner_facts is None else self.owner_facts.take(now)
         # The copy must know the runs of the items that it gets.
-        has_runs = self.owner is None or self.owner.is_caught_up
+        has_runs = self.owner_facts is None or self.owner_facts.is_caught_up
         batch = self._source.since(self._cursor, now, limit_bytes if has_runs else 0, joins=True)
         held = self._source.held
         collection: CollectionFacts | None = collection_of(held)
@@ -188,7 +190,11 @@ class ChannelFeed:
         known_collection, known_advance = self._sent
         if self._is_exact and self.next_seq < held.next_seq:
             collection, advance = known_collection, known_advance
-        if self.next_seq == before and owner is None and (known_collection, known_advance) == (collection, advance):
+        if (
+            self.next_seq == before
+            and owner_part is None
+            and (known_collection, known_advance) == (collection, advance)
+        ):
             return None
         self._sent = collection, advance
         part = FeedPart(
@@ -198,9 +204,9 @@ class ChannelFeed:
             self.next_seq,
             None if collection == known_collection else collection,
             None if advance == known_advance else advance,
-            owner,
+            owner_part,
         )
-        return part if self.owner is None or self._source.acceptances is None else self._with_instants(part)
+        return part if self.owner_facts is None or self._source.acceptances is None else self._with_instants(part)
 
     def _with_instants(self, part: FeedPart) -> FeedPart:
         """The part with the instants of acceptance of its items and of its advance."""
@@ -218,7 +224,7 @@ class ChannelFeed:
         held = self._source.held
         is_next = self._cursor.next_seq == item.seq == held.next_seq
         is_newest = held.newest is not None and item.time >= held.newest
-        return self._fed(item) if is_next and is_newest and self.owner is not None else None
+        return self._fed(item) if is_next and is_newest and self.owner_facts is not None else None
 
     def take_newest(self, limit_bytes: int) -> FedItem | None:
         """The next part for a copy without the owner's facts, if the part is only the run that the source stored last.
@@ -228,7 +234,7 @@ class ChannelFeed:
         """
         held = self._source.held
         newest = held.index.newest_from(self.next_seq, held.floor)
-        item = None if newest is None or self.owner is not None else new_item(newest)
+        item = None if newest is None or self.owner_facts is not None else new_item(newest)
         if item is None or item.end_seq != held.next_seq or limit_bytes <= 0:
             return None
         return self._fed(item) if item.items == 1 or item.charge_bytes <= limit_bytes else None
@@ -240,7 +246,9 @@ class ChannelFeed:
             return None
         present = collection_of(self._source.held)
         collected = None if present == known else _new_floor(known, present)
-        if (collected is None and present != known) or not (self.owner is None or self.owner.pass_put(item)):
+        if (collected is None and present != known) or not (
+            self.owner_facts is None or self.owner_facts.pass_put(item)
+        ):
             return None
         self._sent = present, advance
         self._cursor.pass_next(item.seq, item.items)

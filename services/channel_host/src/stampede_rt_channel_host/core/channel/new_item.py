@@ -15,8 +15,8 @@ class NewItem(NamedTuple):
 
     `seq` and `first_number` are those of the first item. `time`: the earliest time. `duration`: the duration of a
     single item; -1 for none, and for several items. `length`: the length of all payloads. `is_stamped`: the owner has
-    given the items their time. `judged_at`: the owner's clock. `body`: as in `Run`. `owner`: the name of the caller, as
-    in `KeptRun`; the copies know it already. A copy without the owner's facts does not need `producer_id`,
+    given the items their time. `judged_at`: the owner's clock. `body`: as in `Run`. `caller_name`: the name of the
+    caller, as in `KeptRun`; the copies know it already. A copy without the owner's facts does not need `producer_id`,
     `first_number`, `is_stamped` and `judged_at`, and gets zeros.
     """
 
@@ -29,7 +29,7 @@ class NewItem(NamedTuple):
     is_stamped: bool
     judged_at: int
     body: Body
-    owner: str = ""
+    caller_name: str = ""
     items: int = 1
 
     @property
@@ -42,11 +42,11 @@ class NewItem(NamedTuple):
         """The bytes that the items cost a copy's credit."""
         return self.length + self.items * ITEM_OVERHEAD_BYTES
 
-    def kept_run(self, now: int, owner: str) -> KeptRun:
+    def kept_run(self, now: int, caller_name: str) -> KeptRun:
         """The run for a retry window. `now`: the clock of the window's host."""
         part = RunPart(0, self.seq, self.items, self.time if self.is_stamped else None)
         outcome = RunOutcome(self.items, self.items, (part,), (), now)
-        return KeptRun(self.producer_id, self.first_number, outcome, owner)
+        return KeptRun(self.producer_id, self.first_number, outcome, caller_name)
 
 
 def new_item(part: Slice) -> NewItem | None:

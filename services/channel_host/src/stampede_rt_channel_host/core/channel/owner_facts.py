@@ -117,7 +117,7 @@ class OwnerFactsFeed:
         growth, others = counts = self._counts_now()
         if not (self._takes_puts and has_all and counts == self._sent_counts):
             return False
-        if not self._window.pass_put(item.producer_id, item.owner, item.judged_at):
+        if not self._window.pass_put(item.producer_id, item.caller_name, item.judged_at):
             return False
         self._sent_counts = GrowingCounts(growth.accepted + item.items, growth.accepted_bytes + item.length), others
         return True
@@ -209,7 +209,7 @@ class OwnerFacts:
         known, producer = self.counters, self.window.producers.get(item.producer_id)
         if known is None:
             return None
-        run = item.kept_run(now, "" if producer is None else producer.owner)
+        run = item.kept_run(now, "" if producer is None else producer.caller_name)
         growth = GrowingCounts(known.accepted + item.items, known.accepted_bytes + item.length)
         return OwnerPart((run,), None, growth, item.judged_at)
 

@@ -14,7 +14,7 @@ from stampede_rt_channel_host.core.run_outcome import RunOutcome, RunPart
 class AheadPut(NamedTuple):
     """A step of a queue, with its number, that puts only one message. The producer has an id, and the message has none.
 
-    `stamped_time`: the time that the owner gave the message, or None if the producer gave its time. `owner`: see
+    `stamped_time`: the time that the owner gave the message, or None if the producer gave its time. `caller_name`: see
     `RetryWindow.record`. `body`: the stored run.
     """
 
@@ -24,7 +24,7 @@ class AheadPut(NamedTuple):
     first_number: int
     length: int
     stamped_time: int | None
-    owner: str
+    caller_name: str
     body: bytes
 
     def changes(self, tally: QueueTally, next_delivery_id: int) -> QueueHandoff:
@@ -38,6 +38,6 @@ class AheadPut(NamedTuple):
             held=(),
             items=[],
             acknowledged=[],
-            producers=[KeptRun(self.producer_id, self.first_number, outcome, self.owner)],
+            producers=[KeptRun(self.producer_id, self.first_number, outcome, self.caller_name)],
             message_ids=[],
         )

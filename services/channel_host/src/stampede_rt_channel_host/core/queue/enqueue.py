@@ -16,12 +16,12 @@ class Enqueue:
     The run may wait for room for `wait_nanos`, or without limit if this is None. `is_stamped`: the run came without
     times, so the host gives its messages their time. A run with a `message_id` has one message. `is_duplicate`: the
     queue knew the message id. At the end the run has either an `outcome` or, if the queue refused it as a whole, an
-    `error`. `owner`: see `RetryWindow.record`.
+    `error`. `caller_name`: see `RetryWindow.record`.
     """
 
     __slots__ = (
-        "due", "error", "first_number", "is_duplicate", "is_stamped", "lengths", "message_id", "order", "outcome",
-        "owner", "producer_id", "progress", "seal", "wait_nanos",
+        "caller_name", "due", "error", "first_number", "is_duplicate", "is_stamped", "lengths", "message_id", "order",
+        "outcome", "producer_id", "progress", "seal", "wait_nanos",
     )  # fmt: skip
 
     def __init__(
@@ -34,9 +34,9 @@ class Enqueue:
         first_number: int = 0,
         wait_nanos: int | None = None,
         message_id: str = "",
-        owner: str = "",
+        caller_name: str = "",
     ) -> None:
-        self.owner = owner
+        self.caller_name = caller_name
         self.lengths = lengths
         self.seal = seal
         self.is_stamped = is_stamped

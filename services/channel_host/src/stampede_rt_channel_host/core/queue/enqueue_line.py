@@ -52,7 +52,7 @@ class EnqueueLine:
         self.retries = RetryWindow()
         self.message_ids = MessageIds()
         self.waiting_bytes = 0
-        self._waiting_of_owner: Counter[str] = Counter()  # bytes by the caller's name; without callers that have none
+        self._waiting_bytes_by_caller: Counter[str] = Counter()  # without the runs of callers that have no name
         self.finished: list[Enqueue] = []
         self.has_more = False
         self._ending: StampedeError | None = None  # the error of `refuse_waiting`, until no run waits
@@ -193,12 +193,12 @@ class EnqueueLine:
                 f"{len(self._line)} runs with {self.waiting_bytes} bytes wait for room in {self._queue} already; put "
                 "less at a time, let more takers take, or raise the queue's limits"
             )
-        own_bytes = self._waiting_of_owner[run.owner] if run.owner else 0
+        own_bytes = self._waiting_bytes_by_caller[run.caller_name] if run.caller_name else 0
         if own_bytes and own_bytes + run.charged_bytes > WAITING_BYTES_OF_ONE_MAX:
             raise Overloaded(
-                f"runs of {run.owner} with {own_bytes} bytes wait for room in {self._queue} already, and one caller "
-                f"may have {WAITING_BYTES_OF_ONE_MAX} bytes there; put less at a time, or let more takers take",
-                metadata={"subject": run.owner, "used": str(own_bytes), "limit": str(WAITING_BYTES_OF_ONE_MAX)},
+                f"runs of {run.caller_name} with {own_bytes} bytes wait for room in {self._queue} already, and one "
+                f"caller may have {WAITING_BYTES_OF_ONE_MAX} bytes there; put less at a time, or let more takers take",
+                metadata={"subject": run.caller_name, "used": str(own_bytes), "limit": str(WAITING_BYTES_OF_ONE_MAX)},
             )
         self._arrivals += 1
         run.order = self._arrivals
@@ -221,10 +221,10 @@ class EnqueueLine:
     def _count_waiting(self, run: Enqueue, more_bytes: int) -> None:
         """Add `more_bytes`, which may be below 0, to the bytes of waiting runs of the queue and of the run's caller."""
         self.waiting_bytes += more_bytes
-        if run.owner:
-            self._waiting_of_owner[run.owner] += more_bytes
-            if not self._waiting_of_owner[run.owner]:
-                del self._waiting_of_owner[run.owner]
+        if run.caller_name:
+            self._waiting_bytes_by_caller[run.caller_name] += more_bytes
+            if not self._waiting_bytes_by_caller[run.caller_name]:
+                del self._waiting_bytes_by_caller[run.caller_name]
 
     def _offer(self, run: Enqueue, now: int) -> bool:
         """Accept the messages for which there is room. Returns True if the run is done."""
@@ -275,7 +275,7 @@ class EnqueueLine:
         """Set the outcome of a run whose messages are all judged, and remember it."""
         run.outcome = self._remember(run, now)
         if run.message_id and run.progress.accepted_any:
-            known = KnownMessage(run.message_id, run.outcome.parts[0].first_seq, now, run.owner)
+            known = KnownMessage(run.message_id, run.outcome.parts[0].first_seq, now, run.caller_name)
             self.message_ids.record(*known)
             if self._queue_items.changes is not None:
                 self._queue_items.changes.message_ids.append(known)
@@ -283,9 +283,9 @@ class EnqueueLine:
     def _remember(self, run: Enqueue, now: int) -> RunOutcome:
         """Remember the run's outcome so far, so that a repetition of the run gets it or continues after it."""
         judged = run.progress.outcome(now)
-        self.retries.record(run.producer_id, run.first_number, judged, run.owner)
+        self.retries.record(run.producer_id, run.first_number, judged, run.caller_name)
         if run.producer_id and self._queue_items.changes is not None:
-            kept = KeptRun(run.producer_id, run.first_number, judged, run.owner)
+            kept = KeptRun(run.producer_id, run.first_number, judged, run.caller_name)
             self._queue_items.changes.producers.append(kept)
         return judged
 

@@ -122,9 +122,9 @@ def restore(
     for one in state.acknowledged:
         queue_leases.acknowledged.record(one.delivery_id, one.taker_id, now - one.time)
     for kept in state.producers:
-        enqueue_line.retries.record(kept.producer_id, kept.first_number, aged(kept, now).outcome, kept.owner)
+        enqueue_line.retries.record(kept.producer_id, kept.first_number, aged(kept, now).outcome, kept.caller_name)
     for known in state.message_ids:
-        enqueue_line.message_ids.record(known.message_id, known.seq, now - known.time, known.owner)
+        enqueue_line.message_ids.record(known.message_id, known.seq, now - known.time, known.caller_name)
     for _ in states.emptying():  # in one step the interpreter would run no other thread meanwhile
         pass
 

@@ -156,7 +156,7 @@ class QueueJournal:
         if self._changes or self._queue_items.tally != self._tally.after_put(run.lengths[0]):
             return None
         return AheadPut(
-            self.next_step, seq, run.producer_id, run.first_number, run.lengths[0], stamped_time, run.owner, body
+            self.next_step, seq, run.producer_id, run.first_number, run.lengths[0], stamped_time, run.caller_name, body
         )
 
     def has_made(self, put: AheadPut) -> bool:
@@ -274,9 +274,11 @@ class QueueJournal:
         for one in changes.acknowledged:
             self._queue_leases.acknowledged.record(one.delivery_id, one.taker_id, now - one.time)
         for kept in changes.producers:
-            self._enqueue_line.retries.record(kept.producer_id, kept.first_number, aged(kept, now).outcome, kept.owner)
+            self._enqueue_line.retries.record(
+                kept.producer_id, kept.first_number, aged(kept, now).outcome, kept.caller_name
+            )
         for known in changes.message_ids:
-            self._enqueue_line.message_ids.record(known.message_id, known.seq, now - known.time, known.owner)
+            self._enqueue_line.message_ids.record(known.message_id, known.seq, now - known.time, known.caller_name)
 
     def _append(self, step: QueueStep | _PutStep, tally: QueueTally) -> None:
         """Add a step. `tally`: the tally after it; nothing changes this object."""

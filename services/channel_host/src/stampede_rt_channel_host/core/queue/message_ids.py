@@ -23,13 +23,13 @@ SHED_PARTS = 256
 class KnownMessage(NamedTuple):
     """An accepted message with an id: its seq, and the time of its acceptance.
 
-    `owner` is the name of the caller that put the message; empty if the caller has no name of its own.
+    `caller_name` is the name of the caller that put the message; empty if the caller has no name of its own.
     """
 
     message_id: str
     seq: int
     time: int
-    owner: str = ""
+    caller_name: str = ""
 
 
 class MessageIds:
@@ -37,9 +37,9 @@ class MessageIds:
 
     def __init__(self) -> None:
         self._known: OrderedDict[str, KnownMessage] = OrderedDict()  # in the order of acceptance
-        # The known messages of each owner, in the order of acceptance, and some forgotten ones.
-        self._messages_of_owners: dict[str, deque[KnownMessage]] = {}
-        self._bytes_of_owner: Counter[str] = Counter()  # the bytes of the known ids of each owner that has any
+        # The known messages of each caller, in the order of acceptance, and some forgotten ones.
+        self._messages_by_caller: dict[str, deque[KnownMessage]] = {}
+        self._bytes_by_caller: Counter[str] = Counter()  # the bytes of the known ids of each caller that has any
         self.footprint_bytes = 0
 
     def find(self, message_id: str, now: int) -> int | None:
@@ -47,27 +47,27 @@ class MessageIds:
         known = self._known.get(message_id)
         return known.seq if known is not None and known.time > now - KEPT_NANOS else None
 
-    def record(self, message_id: str, seq: int, now: int, owner: str = "") -> None:
+    def record(self, message_id: str, seq: int, now: int, caller_name: str = "") -> None:
         """Note an accepted message with an id. The entry replaces an older entry with the same id.
 
-        `owner` is the name of the caller; empty if the caller has no name of its own.
+        `caller_name` is the name of the caller; empty if the caller has no name of its own.
         """
         if message_id in self._known:
             self._forget(message_id)
-        known = self._known[message_id] = KnownMessage(message_id, seq, now, owner)
-        self._messages_of_owners.setdefault(owner, deque()).append(known)
-        self._bytes_of_owner[owner] += _cost(message_id)
+        known = self._known[message_id] = KnownMessage(message_id, seq, now, caller_name)
+        self._messages_by_caller.setdefault(caller_name, deque()).append(known)
+        self._bytes_by_caller[caller_name] += _cost(message_id)
         self.footprint_bytes += _cost(message_id)
         while self.footprint_bytes > KNOWN_BYTES_MAX:
             self._shed()
 
     def _shed(self) -> None:
-        """Forget the oldest ids of the owner whose ids take most bytes.
+        """Forget the oldest ids of the caller whose ids take most bytes.
 
-        Forgets somewhat more than needed, because this method looks at all owners.
+        Forgets somewhat more than needed, because this method looks at all callers.
         """
-        owner = max(self._bytes_of_owner, key=self._bytes_of_owner.__getitem__)
-        own, enough = self._messages_of_owners[owner], KNOWN_BYTES_MAX - KNOWN_BYTES_MAX // SHED_PARTS
+        caller_name = max(self._bytes_by_caller, key=self._bytes_by_caller.__getitem__)
+        own, enough = self._messages_by_caller[caller_name], KNOWN_BYTES_MAX - KNOWN_BYTES_MAX // SHED_PARTS
         while own and self.footprint_bytes > enough:
             oldest = own.popleft()
             if self._known.get(oldest.message_id) is oldest:
@@ -87,17 +87,17 @@ class MessageIds:
 
     def copied(self) -> list[deque[KnownMessage]]:
         """Lists with the known messages, for `latest_of`. Copies 80,000 messages in a millisecond."""
-        return [own.copy() for own in self._messages_of_owners.values()]
+        return [own.copy() for own in self._messages_by_caller.values()]
 
     def _forget(self, message_id: str) -> None:
         known, cost = self._known.pop(message_id), _cost(message_id)
         self.footprint_bytes -= cost
-        self._bytes_of_owner[known.owner] -= cost
-        own = self._messages_of_owners[known.owner]
+        self._bytes_by_caller[known.caller_name] -= cost
+        own = self._messages_by_caller[known.caller_name]
         if own and own[0] is known:
             own.popleft()
-        if not self._bytes_of_owner[known.owner]:
-            del self._bytes_of_owner[known.owner], self._messages_of_owners[known.owner]
+        if not self._bytes_by_caller[known.caller_name]:
+            del self._bytes_by_caller[known.caller_name], self._messages_by_caller[known.caller_name]
 
 
 def latest_of(lists: Iterable[Iterable[KnownMessage]], now: int) -> Iterator[KnownMessage]:
