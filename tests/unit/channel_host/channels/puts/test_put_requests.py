@@ -16,7 +16,7 @@ from stampede_rt.wire.request_pieces import MESSAGE_BYTES_MAX
 from stampede_rt.wire.runs import parse_run, run_parts
 from stampede_rt_channel_host.channels.puts import long_requests, put_requests
 from stampede_rt_channel_host.channels.puts.long_requests import SHORT_BYTES
-from stampede_rt_channel_host.channels.puts.put_requests import PutRequest, read_request
+from stampede_rt_channel_host.channels.puts.put_requests import Put, PutRequest, read_request
 from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.queues import incoming
 from stampede_rt_channel_host.queues.incoming import read_request as read_enqueues
@@ -145,3 +145,11 @@ def test_a_request_that_is_cut_off_is_refused(cut: int) -> None:
     with pytest.raises(InvalidArgument, match="not a valid PutRequest"):
         read_request(raw[:-cut])
     assert len(raw) > SHORT_BYTES
+
+
+@pytest.mark.parametrize(("run", "items"), [
+    (b"".join(run_parts((b"a", b"b"), times=[1, 2])), 2), (b"".join(run_parts((b"a",) * 200, times=[1] * 200)), 200),
+    (b"".join(run_parts((b"a", b"b"), times=None)), 0), (b"", 0), (b"\x0a", 0), (b"\x0a\xff", 0),
+])  # fmt: skip
+def test_a_put_counts_the_times_of_its_run(run: bytes, items: int) -> None:
+    assert Put(1, None, run).timed_items == items

@@ -87,6 +87,22 @@ async def test_a_request_of_a_few_runs_is_acked_in_the_turn_in_which_it_arrives(
         assert [ack.first_seq for ack in found] == [*range(1, runs + 1)]
 
 
+@pytest.mark.parametrize(("items", "is_in_same_turn"), [(64, True), (65, False)])
+async def test_a_turn_judges_a_bounded_number_of_items_with_times(items: int, is_in_same_turn: bool) -> None:
+    """In an earlier version, one turn judged 16 full runs, which took up to 0.1 s."""
+    async with stream_of("Put") as (stream, channel):
+        request, runs, numbers = put_head(channel.channel_id, channel.epoch, PRODUCER), 16, range(1, 16 * items, items)
+        for number in numbers:
+            run = run_parts((b"x",) * items, times=[*range(number, number + items)])
+            request += put_request(b"", number, run, 10**9)
+        found = acks_in(stream.send(request))
+        assert bool(found) == is_in_same_turn
+        while len(found) < runs:
+            await stream.until_written(len(stream.written()) + 1)
+            found = acks_in(stream.written())
+        assert [ack.first_seq for ack in found] == [*numbers]
+
+
 async def test_a_repeated_put_gets_its_former_ack_immediately() -> None:
     async with stream_of("Put") as (stream, channel):
         former = stream.send(put_of(channel, 1))

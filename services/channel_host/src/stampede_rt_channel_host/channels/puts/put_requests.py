@@ -9,10 +9,13 @@ from collections import deque
 from typing import NamedTuple
 
 from stampede_rt.v1 import raw_run_pb2
+from stampede_rt.wire.varints import decode_varint
 from stampede_rt_channel_host.channels.limits.memory import own_bytes
 from stampede_rt_channel_host.channels.puts.long_requests import read_long
 from stampede_rt_channel_host.channels.puts.whole_requests import check_without_piece
 from stampede_rt_channel_host.channels.requests import parse
+
+_TIMES_TAG = 0x0A  # field 1 of an ItemRun, packed
 
 
 class Put(NamedTuple):
@@ -25,6 +28,14 @@ class Put(NamedTuple):
     wait_nanos: int | None
     run: bytes | memoryview
     ack: int = 0
+
+    @property
+    def timed_items(self) -> int:
+        """The number of times in the run, as the client encodes it; 0 for any other run."""
+        try:
+            return decode_varint(self.run, 1)[0] // 8 if self.run[0] == _TIMES_TAG else 0
+        except IndexError:  # the host refuses such a run later
+            return 0
 
     def kept(self) -> Put:
         """A copy whose run does not keep the whole request in memory."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any, NamedTuple
 
@@ -19,6 +19,7 @@ from grpc.aio import EOF
 from stampede_rt.errors import InvalidArgument, Overloaded, PermissionDenied, StampedeError
 from stampede_rt.status import from_error_message
 from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.wire.delivered import RUN_ITEMS_MAX
 from stampede_rt.wire.request_pieces import PIECE_TAG
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.puts.ack_writer import RUNS_PER_TURN, AckWriter
@@ -39,6 +40,7 @@ from stampede_rt_runtime.rpc import Context, answer_in_same_turn
 
 REQUEST_BYTES_MAX = 4 * 2**20  # the runs of a request with several runs
 SAME_TURN_RUNS_MAX = 16  # the most that one turn answers; producers join at most this many in a request
+SAME_TURN_TIMED_ITEMS_MAX = RUNS_PER_TURN * RUN_ITEMS_MAX  # the channel takes up to 6 us to sort one in
 _FRAMING_BYTES_MAX = 4096  # the fields of such a request, without the runs
 
 
@@ -127,7 +129,7 @@ class PutStream:
             names = bool(request.channel_id)
             channel_id, epoch = (request.channel_id, request.epoch) if names else (self._channel_id, self._epoch)
             hosted = self._store.find(channel_id, epoch)
-            if hosted.puts.may_wait or not 1 <= len(request.puts) <= SAME_TURN_RUNS_MAX:
+            if hosted.puts.may_wait or not _are_few(request.puts):
                 return False
         except StampedeError:  # the loop that reads the requests raises the same error
             return False
@@ -166,7 +168,7 @@ class PutStream:
 
     def _judge_replicated(self, received: _ReceivedRequest) -> list[pb.PutAck | HeldAck]:
         """The acks of the runs, if they go to replicas together. Otherwise judges no run."""
-        if received.too_much or not 1 < len(received.puts) <= SAME_TURN_RUNS_MAX:
+        if received.too_much or len(received.puts) < 2 or not _are_few(received.puts):
             return []
         try:
             hosted = self._store.find(self._channel_id, self._epoch)
@@ -274,6 +276,13 @@ class PutStream:
 
 def _encoded(acks: list[pb.PutAck]) -> bytes:
     return pb.PutResponse(acks=acks).SerializeToString()
+
+
+def _are_few(puts: Collection[Put]) -> bool:
+    """Whether one turn of the event loop may judge these runs."""
+    if len(puts) <= RUNS_PER_TURN:
+        return len(puts) > 0
+    return len(puts) <= SAME_TURN_RUNS_MAX and sum(put.timed_items for put in puts) <= SAME_TURN_TIMED_ITEMS_MAX
 
 
 def _announced_together(hosted: HostedChannel) -> AbstractContextManager[None]:
