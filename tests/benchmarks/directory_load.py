@@ -176,7 +176,7 @@ async def reconnect(cluster: Cluster, clients: int) -> list[Row]:
 async def measure_reconnections(
     cluster: Cluster, clients: int, processes: ProcessPoolExecutor
 ) -> tuple[list[float], float, float]:
-    """How long each client had to wait, and the CPU time of the supernodes and of the clients meanwhile."""
+    """The wait of each client, and the CPU time of the supernodes and of the clients meanwhile."""
     addresses, share = [supernode.address for supernode in cluster.supernodes], -(-clients // CLIENT_PROCESSES)
     loop, at, before = asyncio.get_running_loop(), time.monotonic() + 0.5, cpu_seconds(cluster)
     loads = [loop.run_in_executor(processes, connect_clients, addresses, share, at) for _ in range(CLIENT_PROCESSES)]

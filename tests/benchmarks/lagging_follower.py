@@ -134,7 +134,7 @@ async def open_channels(supernodes: list[Supernode], count: int) -> list[Any]:
 
 
 async def lag(leader: Supernode, follower: Supernode) -> int:
-    """How many entries the follower lacks that the leader has applied; 0 or less: none."""
+    """The number of entries that the leader has applied and the follower lacks; 0 or less: none."""
     calls = [one.stub.ListSupernodes(pb.ListSupernodesRequest(), timeout=CALL_SECONDS) for one in (follower, leader)]
     behind, ahead = await asyncio.gather(*calls)
     return int(ahead.applied_index - behind.applied_index)

@@ -125,7 +125,7 @@ class CuttingRelay:
                 await writer.drain()
 
     def _place_of_fault(self, port: int, byte_count: int) -> tuple[int, Callable[[], bool] | None]:
-        """How many of the next bytes come before a fault, and the fault; all bytes and None if there is no fault."""
+        """The number of next bytes before a fault, and the fault; all bytes and None if there is no fault."""
         if self._breaks_off:
             self._breaks_off = False
             return self._random_source.randrange(byte_count), lambda: True

@@ -11,7 +11,7 @@ from tests.benchmarks.archive_cost.figures import seconds_of
 
 
 def seconds_behind_socket(path: Path, part: bytes, parts: int, sync_bytes: int) -> float:
-    """How long another process takes to receive parts and append them to a file, with an fsync after `sync_bytes`."""
+    """The time in which another process receives parts and appends them to a file, with an fsync after `sync_bytes`."""
     near, far = socket.socketpair()
     arguments = (far, path, len(part), parts, sync_bytes)
     process = multiprocessing.get_context("spawn").Process(target=_receive, args=arguments, daemon=True)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 
 
 def seconds_of(work: Callable[[], object]) -> float:
-    """How long the work takes."""
+    """The time that the work takes."""
     began = time.perf_counter()
     work()
     return time.perf_counter() - began

@@ -1,1 +1,1 @@
-"""How long a host's event loop stands still for one long piece of work: `python -m tests.benchmarks.longest_pause`."""
+"""The longest time that one piece of work blocks a host's event loop: `python -m tests.benchmarks.longest_pause`."""

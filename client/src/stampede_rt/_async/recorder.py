@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 CHANNELS_MAX = 1000  # the most channels of one recording; each may keep 1 MiB in memory
 GLOBS_MAX = 64
-DRAIN_S = 5.0  # how long the end of a recording waits for items that the host has accepted before the end
+DRAIN_S = 5.0  # the wait at the end of a recording for items that the host accepted before the end
 BEGIN_S = 7.0  # together with DRAIN_S this is longer than a call takes, so the recording learns why a call failed
 HURRIED_S = 0.1  # the least time that a step of the end may wait, if the time of `hurry` has passed
 FINISHED_IN_PARALLEL = 32  # the channels whose recordings end in parallel
@@ -263,7 +263,7 @@ class Recorder(BackgroundStart, BoundToProcess):
         self.summary = summary
 
     def _left_s(self) -> float:
-        """How long the next step of the end may wait: after `hurry` all steps together wait about as long as one."""
+        """The time that the next step of the end may wait. After `hurry` all steps share about the time of one."""
         left_s = self._drain_s if self._until_s is None else self._until_s - time.monotonic()
         return min(self._drain_s, max(left_s, HURRIED_S))
 

@@ -56,7 +56,7 @@ class Taker:
         # At most `prefetch` messages.
         self._ready = PrefetchBuffer(self._settler, self._give_back, f"{state.kind} {state.name!r}")
         self._stream: BidiStream[queue_pb.TakeResponse] | None = None
-        self._credit = 0  # how many messages the host may still send
+        self._credit = 0  # the number of messages that the host may still send
         self._draining = False  # whether the taker has asked the host to end the stream
         self._opened = Signal()  # is set while the stream is open, and while no stream is wanted
         self._drained = Signal()  # is set when the present stream has ended; each stream has its own signal

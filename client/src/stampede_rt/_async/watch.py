@@ -43,7 +43,7 @@ class DirectoryWatch(BoundToProcess, Generic[Event]):
 
     @property
     def reconnects(self) -> int:
-        """How many times the client has opened the watch again after a break."""
+        """The number of times that the client has opened the watch again after a break."""
         return self._reconnecting.reconnects
 
     @property

@@ -37,12 +37,12 @@ class ArchivedMatches(BoundToProcess, Generic[Key]):
 
     @property
     def unmatched(self) -> int:
-        """How many items of `per` had no partner in a member."""
+        """The number of items of `per` that had no partner in a member."""
         return 0 if self._matching is None else self._matching.unmatched
 
     @property
     def dropped(self) -> int:
-        """How many items had left the archive before this client fetched them, or came too late for a match."""
+        """The number of items that left the archive before this client fetched them, or came too late for a match."""
         return 0 if self._matching is None else self._matching.dropped
 
     @property

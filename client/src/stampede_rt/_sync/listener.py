@@ -54,7 +54,7 @@ class Listener(BackgroundStart, BoundToProcess):
 
     @property
     def losses(self) -> int:
-        """How many times the channel's host was lost with items."""
+        """The number of times that the channel lost its host and items."""
         return self._incarnations_lost + self._losses_before + self._subscription.losses
 
     @property
@@ -69,7 +69,7 @@ class Listener(BackgroundStart, BoundToProcess):
 
     @property
     def reconnects(self) -> int:
-        """How many times the client has opened the subscription again after a break."""
+        """The number of times that the client has opened the subscription again after a break."""
         return self._reconnects_before + self._subscription.reconnects
 
     @property

@@ -94,7 +94,7 @@ class Player(BackgroundStart, BoundToProcess):
 
     @property
     def done_share(self) -> float:
-        """How much of the time span of the file has been played in this round, from 0 to 1."""
+        """The part of the file's time span that this round has played, from 0 to 1."""
         return self._done_share
 
     def stop(self) -> None:

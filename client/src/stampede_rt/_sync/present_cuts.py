@@ -9,7 +9,7 @@ from stampede_rt.cluster.binding import Binding
 from stampede_rt.v1 import group_service_pb2 as group_pb
 from stampede_rt.values.timeline import MIN_INSTANT
 
-CUT_WAIT_NANOS = 1_000_000_000  # how long a host may wait until it knows the cut that this process has already seen
+CUT_WAIT_NANOS = 1_000_000_000  # the wait of a host for a cut that this process has already seen
 
 
 def present_cut(group: GroupMembers) -> int:

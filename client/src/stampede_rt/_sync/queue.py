@@ -117,7 +117,7 @@ class TakingHandle:
 
     @property
     def reconnects(self) -> int:
-        """How many times the loop over this handle continued after a break of 10 s or more."""
+        """The number of times that the loop over this handle continued after a break of 10 s or more."""
         return self._reconnecting.reconnects
 
     @property

@@ -113,7 +113,7 @@ class Subscription(BoundToProcess):
 
     @property
     def reconnects(self) -> int:
-        """How many times the client has opened the subscription again after a break."""
+        """The number of times that the client has opened the subscription again after a break."""
         return self._reconnecting.reconnects
 
     @property

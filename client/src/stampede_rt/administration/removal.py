@@ -10,8 +10,8 @@ from stampede_rt.errors import DeadlineExceeded, NotLeader, Overloaded, Stampede
 from stampede_rt.v1.directory_pb2 import SupernodeRecord
 from stampede_rt.v1.membership_service_pb2 import RemoveSupernodeResponse
 
-CHANGE_SECONDS = 30.0  # how long `remove_member` tries again if there is a leader
-LEADERLESS_SECONDS = 8.0  # how long `remove_member` waits for a leader; an election takes 4 s at most
+CHANGE_SECONDS = 30.0  # the time for which `remove_member` tries again if there is a leader
+LEADERLESS_SECONDS = 8.0  # the wait of `remove_member` for a leader; an election takes 4 s at most
 BACKOFF_SECONDS = 0.5  # between two tries
 
 

@@ -20,10 +20,10 @@ from typing import Any, NoReturn
 
 from stampede_rt.cli.exit_statuses import INTERRUPTED
 
-CLOSE_S = 2.0  # how long a command may take to close its connections and end after Ctrl-C
+CLOSE_S = 2.0  # the time that a command has after Ctrl-C to close its connections and end
 CLOSE_AFTER_STOP_S = 1.0  # instead of CLOSE_S, if a command with a regular end has used up its time
 LOOK_S = 0.2  # how often the main thread looks for Ctrl-C
-UNWIND_S = 20.0  # how long a command in `unwinding` may take to stop its processes
+UNWIND_S = 20.0  # the time that a command in `unwinding` has to stop its processes
 _ENDS = (signal.SIGTERM, signal.SIGHUP)  # the signals that are like Ctrl-C for a command with a regular end
 
 

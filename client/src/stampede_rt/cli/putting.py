@@ -35,8 +35,8 @@ from stampede_rt.values.timeline import parse_item_duration
 if TYPE_CHECKING:
     from stampede_rt import Channel, Producer
 
-STOP_S = 1.0  # how long the command waits, after Ctrl-C, until the host has acknowledged the last items
-FLUSH_S = 30.0  # how long the command waits for the last acknowledgements
+STOP_S = 1.0  # the wait, after Ctrl-C, until the host has acknowledged the last items
+FLUSH_S = 30.0  # the wait for the last acknowledgements
 RATE_MIN, RATE_MAX = 1e-5, 1e6  # items per second; the least one is about one a day
 
 

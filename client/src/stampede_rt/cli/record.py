@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from stampede_rt.values.model import Item
 
 PARALLEL_RECORDINGS_MAX = 4  # recordings of `--on` at the same time
-STOP_DRAIN_S = 1.0  # how long the command waits, after Ctrl-C, for items that the hosts had accepted before Ctrl-C
-STOP_S = 15.0  # how long the command waits, after Ctrl-C, until the file is finished
+STOP_DRAIN_S = 1.0  # the wait, after Ctrl-C, for items that the hosts had accepted before Ctrl-C
+STOP_S = 15.0  # the wait, after Ctrl-C, until the file is finished
 GAPS_SHOWN = 20  # the most gaps of each channel that the command prints
 
 

@@ -19,7 +19,7 @@ from stampede_rt.values.recording import ReplaySummary
 if TYPE_CHECKING:
     from stampede_rt._sync.player import Player
 
-STOP_S = 5.0  # how long the command waits, after Ctrl-C, until the hosts have acknowledged the last items
+STOP_S = 5.0  # the wait, after Ctrl-C, until the hosts have acknowledged the last items
 
 
 def add_verbs(subparsers: Any) -> None:

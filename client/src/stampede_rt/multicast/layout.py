@@ -24,7 +24,7 @@ HEAD = struct.Struct(f">4s{STREAM_ID_BYTES}sHQ")
 _PART = struct.Struct(">BQQHH")
 _TAG_BYTES = 16  # the length of an AES-GCM tag
 ENCRYPTION_BYTES = HEAD.size + _TAG_BYTES
-"""How much longer a datagram is than its part."""
+"""The number of bytes by which a datagram is longer than its part."""
 DATA_BYTES_MAX = DATAGRAM_BYTES_MAX - HEAD.size - _PART.size - _TAG_BYTES
 PARTS_MAX = -(-(MESSAGE_BYTES_MAX + SIGNATURE_BYTES) // DATA_BYTES_MAX)
 

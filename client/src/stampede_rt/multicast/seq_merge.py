@@ -56,7 +56,7 @@ class SeqMerge(Generic[OneItem]):
 
     @property
     def missing_items(self) -> int:
-        """How many items are missing before the first held one, or before the announced seq."""
+        """The number of items that are missing before the first held item, or before the announced seq."""
         return max(0, (self._held[0].first_seq if self._held else self.announced_seq) - self.next_seq)
 
     def announce(self, end_seq: int) -> None:

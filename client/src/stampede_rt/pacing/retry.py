@@ -7,7 +7,10 @@ from dataclasses import dataclass
 FIRST_DELAY_S = 0.02
 DELAY_S_MAX = 1.0
 OPEN_STREAMS_S = 1.0
-"""How long to try again at a quota of open streams. The server may still count streams whose connection has broken."""
+"""The time for which a call tries again at a quota of open streams.
+
+The server may still count streams whose connection has broken.
+"""
 
 
 @dataclass(slots=True)

@@ -21,7 +21,7 @@ from typing import Any, TypeVar
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.transports import forking
 
-END_LIMIT_S = 2.0  # how long the end of a call or connection may take
+END_LIMIT_S = 2.0  # the time that the end of a call or connection may take
 LOOK_S = 0.2  # how often the waiting main thread looks for signals
 
 Result = TypeVar("Result")

@@ -7,7 +7,7 @@ PUT_METHOD = "/stampede_rt.v1.ChannelService/Put"
 ENQUEUE_METHOD = "/stampede_rt.v1.QueueService/Enqueue"
 SILENCE_S_MAX = 15.0  # after this silence a client ends a stream; servers send a sign of life on each stream every 5 s
 WAITING_REQUESTS_MAX = 1024  # requests on one stream that the server has not taken yet
-END_TIMEOUT_S = 1.0  # how long the end of a connection waits for its streams to end
+END_TIMEOUT_S = 1.0  # the time that the end of a connection waits for its streams to end
 MESSAGE_BYTES_MAX = 20 * 1024 * 1024
 
 # A server takes 1024 calls on one connection. gRPC opens further connections for more calls (gRFC A105).

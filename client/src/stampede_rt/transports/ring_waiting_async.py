@@ -44,7 +44,7 @@ class RingWaits:
 
     @property
     def waiting(self) -> int:
-        """How many callers wait."""
+        """The number of callers that wait."""
         return len(self._waits)
 
     async def wait(self, mapping: RingMapping, changes: int, timeout_s: float) -> bool:

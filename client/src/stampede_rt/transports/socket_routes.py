@@ -46,7 +46,7 @@ class SocketRoute:
         self.shares_memory = False
         """Whether the host shares memory over its sockets."""
         self.late_arrivals = 0
-        """How many times the TCP port answered after streams had begun over gRPC. These streams should begin anew."""
+        """The number of late answers of the TCP port. Streams that began over gRPC before should begin anew."""
 
     def learn(self, endpoints: Iterable[pb.DataEndpoint]) -> None:
         """Keep the gatekeeper's answer: a TCP port, and at most TARGETS_MAX paths of the form that hosts make."""

@@ -16,9 +16,9 @@ from stampede_rt.wire.stream_frames import FrameKind, frame_of
 GREETING = frame_of(FrameKind.ALIVE)
 """The first frame of a host at a TCP port. It shows the client that the host itself has taken the connection."""
 HEAD_START_S = 0.05
-"""How long the first stream to a host waits for a TCP connection before it uses gRPC."""
+"""The time in seconds that the first stream to a host waits for a TCP connection before it uses gRPC."""
 REACH_S_MAX = 5.0
-"""How long a client tries to reach a port in the background, while its streams use gRPC."""
+"""The time in seconds for which a client tries to reach a port in the background, while its streams use gRPC."""
 _OF_HOSTS = re.compile(r"tcp:([1-9][0-9]{0,4})")
 
 
@@ -52,7 +52,7 @@ class TcpRoute:
         self.is_slow = False
         """Whether an attempt took too long or failed. Then streams do not wait for the next attempt."""
         self.head_start_s: float | None = None
-        """How long a stream on asyncio waits for a first connection; None: HEAD_START_S."""
+        """The time in seconds that a stream on asyncio waits for a first connection; None: HEAD_START_S."""
         self.reaching: Any = None
         """The last attempt in the background, in the client on asyncio."""
 

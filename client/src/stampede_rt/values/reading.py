@@ -27,7 +27,7 @@ RENEW_S = 30.0  # the longest wait that one request asks for; for a longer wait 
 
 @dataclass(frozen=True, slots=True)
 class Wait:
-    """How long a call may wait: `seconds`, or without a limit if it is None."""
+    """The time that a call may wait: `seconds`, or without a limit if it is None."""
 
     seconds: float | None
 

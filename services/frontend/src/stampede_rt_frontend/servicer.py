@@ -15,7 +15,7 @@ from stampede_rt_runtime.routes import is_of_another_machine
 from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_runtime.version import PROTOCOL_VERSION, software_version
 
-WAIT_SECONDS_MAX = 2.0  # how long a caller waits until a supernode can serve
+WAIT_SECONDS_MAX = 2.0  # the time that a caller waits until a supernode can serve
 
 
 class FrontendServicer(frontend_service_pb2_grpc.FrontendServiceServicer):

@@ -21,9 +21,7 @@ from stampede_rt_runtime.rpc import Context
 
 CERTIFICATES_KEPT_MAX = 4096  # the most certificates whose serial number and end this process remembers
 STATE_SECONDS_MAX = 2.0
-"""How long a call waits after the start of this process until the service has received the rules and the keys of
-tokens.
-"""
+"""The time that a call waits, after this process starts, until the service has the rules and the keys of tokens."""
 _WITHOUT_SECRET = frozenset({"/grpc.health.v1.Health/Check"})  # load balancers and container runtimes call it
 
 

@@ -35,7 +35,7 @@ from stampede_rt_runtime.values import Address, parse_address
 
 logger = logging.getLogger(__name__)
 
-DRAIN_SECONDS = 2.0  # how long a stop waits for streams to end, and again for calls to finish
+DRAIN_SECONDS = 2.0  # the time that a stop waits for streams to end, and then again for calls to finish
 _STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 

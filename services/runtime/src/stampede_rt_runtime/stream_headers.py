@@ -12,7 +12,10 @@ import asyncio
 from stampede_rt_runtime.rpc import Context
 
 HEADERS_SECONDS_MAX = 2.0
-"""How long the end of a stream waits for its headers. They wait only if the caller's system takes nothing at all."""
+"""The time in seconds that the end of a stream waits for its headers.
+
+The headers wait only if the caller's system takes nothing at all.
+"""
 
 
 async def send_headers(context: Context) -> None:

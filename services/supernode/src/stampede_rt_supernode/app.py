@@ -67,7 +67,7 @@ logger = logging.getLogger(__name__)
 
 HEALTH_SECONDS = 0.1  # how often the supernode looks at its own state
 ACCESS_SECONDS = 0.25  # how often the supernode ends the streams of callers that have lost a right
-HAND_OVER_SECONDS = 1.2  # how long a stopping supernode waits until another member leads
+HAND_OVER_SECONDS = 1.2  # the time that a stopping supernode waits until another member leads
 
 
 async def serve(settings: SupernodeSettings) -> None:

@@ -49,7 +49,7 @@ class Book:
         self.observers.wake()
 
     async def turns(self) -> list[int]:
-        """How many readers were woken after each turn of the event loop, until nothing happens any more."""
+        """The number of readers that wake after each turn of the event loop, until nothing more happens."""
         counts = [len(self.woken)]
         while len(counts) < 3 or counts[-1] != counts[-3]:
             await asyncio.sleep(0)

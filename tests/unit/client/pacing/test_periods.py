@@ -82,7 +82,7 @@ def sampler(clock: TestClock, session: SessionParts, function: Any, put: Any) ->
 
 async def test_samples_do_not_drift_and_missed_samples_are_counted() -> None:
     clock, session, times = TestClock(), SessionParts(), []
-    lasts = {0: 3, 1: 7, 2: 38, 3: 0}  # how long each call takes; a period is 10
+    lasts = {0: 3, 1: 7, 2: 38, 3: 0}  # the time that each call takes; a period is 10
 
     def sample() -> int:
         times.append(clock.now - 1_000)

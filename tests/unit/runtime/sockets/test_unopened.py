@@ -1,4 +1,4 @@
-"""How many connections without an opening each machine may have."""
+"""The number of connections without an opening that each machine may have."""
 
 from __future__ import annotations
 

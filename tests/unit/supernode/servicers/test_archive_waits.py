@@ -1,4 +1,4 @@
-"""How long a recorded channel waits for its host, which is unreachable, before another host takes the channel over."""
+"""The time that a recorded channel waits for its unreachable host before another host takes the channel over."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ Result = TypeVar("Result")
 logger = logging.getLogger(__name__)
 
 READERS, READERS_OF_STORE = 2, 8  # threads; the readers of an object store mostly wait for the network
-WRITE_AFTER_SECONDS = 0.2  # how long the archive gathers small writes
+WRITE_AFTER_SECONDS = 0.2  # the time for which the archive gathers small writes
 RETRY_SECONDS = 1.0
 CLOSE_SECONDS_MAX = 5.0  # the limit for the last work of a host that stops; its process may end the work earlier
 _PAUSE_SECONDS = 0.0002  # a reader gives the other threads their turn after each block

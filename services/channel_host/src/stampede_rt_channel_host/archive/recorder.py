@@ -65,7 +65,7 @@ class ChannelRecorder:
         self.disk = disk or DiskUse().of_channel(b"", "")
         self.keep(segments)
         self.named = 0
-        """How many items max_bytes collected before the archive had them, so that its files name them as missing."""
+        """The number of items that max_bytes collected before the archive had them. Its files name them as missing."""
         self.is_stopped = False  # whether the host has given the channel up: the archive no longer writes its items
         self.failure = ""
         """Why the last write failed; empty: it succeeded."""
@@ -85,7 +85,7 @@ class ChannelRecorder:
         """All seqs below `archived_to` are on stable storage, or lost to the archive."""
         self._puts = WaitingPuts(files.run_bytes_max)
         self._advances: list[ArchivedAdvance] = []  # the advances that are not archived yet
-        self._advances_taken = 0  # how many of these advances, from the first on, the write under way has
+        self._advances_taken = 0  # the number of these advances, from the first on, in the write under way
         self._advance: int | None = None  # the latest advance
         self._lost_before: int | None = None  # see `note_loss`; None: no loss is to be written
         self._found_to: int | None = None

@@ -48,7 +48,7 @@ SEGMENTS_PER_AGE = 16  # a segment ends after 1/16 of the archive's age, because
 
 
 class ArchiveLimits(NamedTuple):
-    """How long and how much the archive keeps; None: without a limit."""
+    """The age and the size up to which the archive keeps items; None: without a limit."""
 
     age_nanos: int | None
     bytes_max: int | None

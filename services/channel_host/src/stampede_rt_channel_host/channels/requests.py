@@ -63,7 +63,7 @@ def query_of(request: pb.GetRequest) -> Query:
 
 
 def wait_nanos_of(request: pb.GetRequest) -> int:
-    """How long the get may wait, in nanoseconds. 0: not at all. -1: until the stream ends.
+    """The time in nanoseconds that the get may wait. 0: not at all. -1: until the stream ends.
 
     Raises InvalidArgument for a number below -1.
     """

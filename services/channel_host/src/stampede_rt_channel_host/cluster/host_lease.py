@@ -40,7 +40,7 @@ class HostLease:
         return self._fence_nanos is not None and now < self._fence_nanos
 
     def fenced_in_nanos(self, now: int) -> int:
-        """How long the host may serve from `now` on, in nanoseconds; 0 if it may not."""
+        """The time in nanoseconds that the host may serve from `now` on; 0 if it may not serve."""
         return max(0, self._fence_nanos - now) if self._fence_nanos is not None else 0
 
     def renewal_in_nanos(self, now: int) -> int:

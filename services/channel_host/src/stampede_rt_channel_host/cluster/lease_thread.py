@@ -24,7 +24,7 @@ logger = logging.getLogger(__name__)
 LOOP_SILENCE_SECONDS_MAX = 60.0
 LOOP_LATE_SECONDS = 1.0
 """If the loop performs a call later than this, the host logs a warning."""
-STOP_SECONDS_MAX = 5.0  # how long `leave` waits for the end of the thread
+STOP_SECONDS_MAX = 5.0  # the time that `leave` waits for the end of the thread
 
 Result = TypeVar("Result")
 
@@ -88,7 +88,7 @@ class LeaseThread:
         return self._registration is not None and self._registration.lease_held()
 
     def fenced_in_nanos(self) -> int:
-        """How long the host may still serve without a renewal, in nanoseconds; 0 if it may not."""
+        """The time in nanoseconds that the host may still serve without a renewal; 0 if it may not serve."""
         return 0 if self._registration is None else self._registration.fenced_in_nanos()
 
     def clock(self) -> ClockOffset | None:

@@ -95,7 +95,7 @@ class Registration:
         return self._lease.is_held(self._clock.boottime_nanos())
 
     def fenced_in_nanos(self) -> int:
-        """How long the host may still serve without a renewal, in nanoseconds; 0 if it may not."""
+        """The time in nanoseconds that the host may still serve without a renewal; 0 if it may not serve."""
         return self._lease.fenced_in_nanos(self._clock.boottime_nanos())
 
     def fence_boottime(self) -> int:

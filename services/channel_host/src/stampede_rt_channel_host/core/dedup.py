@@ -15,7 +15,7 @@ from stampede_rt.errors import InvalidArgument
 from stampede_rt_channel_host.core.run_outcome import RunOutcome, RunPart, up_to_seq
 
 RUNS_MAX = 1024  # much more than the runs that a producer has in flight
-KEPT_NANOS = 600_000_000_000  # how long the window keeps an outcome
+KEPT_NANOS = 600_000_000_000  # the time that the window keeps an outcome
 PRODUCERS_MAX = 4096
 WINDOW_BYTES_MAX = 16 * 2**20
 SHED_PARTS = 64  # above a bound, one step frees about 1/64 of the bound, so that such steps are rare

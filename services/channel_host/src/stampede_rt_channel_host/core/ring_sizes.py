@@ -18,7 +18,7 @@ RUNS_OF_SHORT_RING = 4  # a reader needs time to copy a run
 
 
 class RingFit(NamedTuple):
-    """How much data a ring has, and the longest run that it takes.
+    """The number of data bytes of a ring, and the longest run that it takes.
 
     A longer run needs a larger ring, or goes without a ring.
     """

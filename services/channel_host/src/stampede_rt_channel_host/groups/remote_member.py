@@ -21,7 +21,7 @@ from stampede_rt_channel_host.groups.sharing_hosts import Dial
 logger = logging.getLogger(__name__)
 
 PAUSE_SECONDS = 0.2
-UNANSWERED_SECONDS_MAX = 5.0  # how long matches wait for an idle member whose host does not answer
+UNANSWERED_SECONDS_MAX = 5.0  # the time that matches wait for an idle member whose host does not answer
 AHEAD_ITEMS = TRACK_ITEMS_MAX // 4
 """The member's host may send about this number of keys ahead, so that a large archive does not fill the track."""
 

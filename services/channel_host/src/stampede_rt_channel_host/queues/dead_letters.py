@@ -36,7 +36,7 @@ logger = logging.getLogger(__name__)
 ITEMS_PER_ATTEMPT_MAX = 16
 ATTEMPT_SECONDS_MAX = 10.0
 ROOM_WAIT_NANOS = 2_000_000_000
-"""How long an attempt waits for room in a dead-letter queue that blocks."""
+"""The time that an attempt waits for room in a dead-letter queue that blocks."""
 _PAUSE_SECONDS_MIN, _PAUSE_SECONDS_MAX = 0.1, 30.0
 _ENDS = {
     LEASE_EXPIRED: item_pb2.DELIVERY_END_LEASE_EXPIRED,

@@ -15,9 +15,9 @@ from collections.abc import Awaitable, Callable
 CONNECTIONS_MAX = 16
 HEAD_BYTES_MAX = 8192
 HEAD_SECONDS_MAX = 5.0
-"""How long a caller may take to send its request."""
+"""The time in seconds in which a caller must send its request."""
 ANSWER_SECONDS_MAX = 15.0
-"""How long the answer may take. Prometheus waits for 10 s by default."""
+"""The time in seconds that the answer may take. Prometheus waits for 10 s by default."""
 PATH = "/metrics"
 
 _USAGE = b"This is a service of Stampede RT. Its metrics are at /metrics.\n"

@@ -1,4 +1,4 @@
-"""How much each caller uses of one port, and its limits. Pure."""
+"""The use of one port by each caller, and the limits of each caller. Pure."""
 
 from __future__ import annotations
 

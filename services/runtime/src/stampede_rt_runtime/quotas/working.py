@@ -100,7 +100,7 @@ _statistics = _Statistics()
 
 
 def _waited_nanos() -> int:
-    """How long this thread was ready and had no processor, in nanoseconds. 0 if the system does not say it."""
+    """The time in nanoseconds that this thread was ready and had no processor. 0 if the system does not say it."""
     try:
         return int(os.pread(_statistics.file.number, 256, 0).split()[1])
     except (OSError, ValueError, IndexError):

@@ -32,8 +32,10 @@ from stampede_rt_runtime.annotated_channel import AnnotatedChannel, Metadata
 logger = logging.getLogger(__name__)
 
 HEAD_START_S = 0.3
-"""How long a new stream waits for a TCP connection before it uses gRPC. A stream between hosts may last for days, so it
-waits longer than the streams of a client."""
+"""The time in seconds that a new stream waits for a TCP connection before it uses gRPC.
+
+A stream between hosts may last for days, so it waits longer than a client's stream.
+"""
 ANSWERS_MAX, ANSWER_SECONDS_MAX = 256, 1.0  # a host that is drained opens a stream for each channel
 
 Endpoints = Sequence[pb.DataEndpoint]

@@ -16,7 +16,7 @@ from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt.v1 import directory_service_pb2_grpc
 
 LOOK_SECONDS = 2.0  # the pause between two looks at the address
-ASK_SECONDS = 1.0  # how long one look waits for an answer
+ASK_SECONDS = 1.0  # the time that one look waits for an answer
 # How many looks in a row must find another process. A former process of this supernode may take a moment to end.
 FINDINGS_NEEDED = 3
 

@@ -249,7 +249,7 @@ class ReplicatedLog(Protocol):
         """This replica's present view. Never blocks."""
 
     def write_times(self) -> Durations:
-        """How long the writes to the store took, each with its wait for the disk. Never blocks."""
+        """The durations of the writes to the store, each with its wait for the disk. Never blocks."""
 
     async def close(self) -> None:
         """Stop taking part. Afterwards the whole log is on stable storage."""

@@ -179,7 +179,7 @@ class RaftReplica:
         return self._status
 
     def write_times(self) -> Durations:
-        """How long the writes to the store took."""
+        """The durations of the writes to the store."""
         return self._log.write_times
 
     @property

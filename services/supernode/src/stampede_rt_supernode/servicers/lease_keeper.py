@@ -38,7 +38,7 @@ from stampede_rt_supernode.servicers.submission import Submission
 logger = logging.getLogger(__name__)
 
 TICK_SECONDS = 0.1
-PROPOSAL_SECONDS = 5.0  # how long a tick waits for the outcome of a command
+PROPOSAL_SECONDS = 5.0  # the time that a tick waits for the outcome of a command
 PARALLEL_ENDINGS_MAX = 64  # the most commands under way that each end the lease of a host
 PEERS_PER_ENTRY_MAX = 256  # the most leases of peers that one command ends
 

@@ -85,7 +85,7 @@ class CountingChannel(ChannelCore):
 
 
 def timers() -> int:
-    """How many timers the event loop will still fire."""
+    """The number of timers that the event loop will still fire."""
     scheduled = asyncio.get_running_loop()._scheduled  # type: ignore[attr-defined]
     return sum(not handle.cancelled() for handle in scheduled)
 

@@ -89,7 +89,7 @@ async def test_nothing_is_read_ahead_for_a_caller_whose_bytes_in_flight_are_used
 
 
 def large_blocks(size: int) -> int:
-    """How many references to `bytes` of at least that size this process has."""
+    """The number of references to `bytes` of at least that size in this process."""
     return sum(
         isinstance(held, bytes) and len(held) >= size for one in gc.get_objects() for held in gc.get_referents(one)
     )

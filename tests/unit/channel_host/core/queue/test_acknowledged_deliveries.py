@@ -1,4 +1,4 @@
-"""How many acknowledged deliveries a queue remembers, and for how long."""
+"""The number of acknowledged deliveries that a queue remembers, and the time for which it remembers them."""
 
 from __future__ import annotations
 

@@ -26,8 +26,9 @@ LISTING_SECONDS_MAX = 3.0
 lists the store later.
 """
 UNKNOWN_SECONDS_MAX = 4.0
-"""How much longer the host waits for a listing if the disk has no list. Both waits fit into a call of a client, because
-the wait begins again if the call ends.
+"""The time in seconds that the host waits longer for a listing if the disk has no list.
+
+Both waits fit into a call of a client, because the wait begins again if the call ends.
 """
 
 

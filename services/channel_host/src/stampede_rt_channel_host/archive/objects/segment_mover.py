@@ -163,7 +163,7 @@ class SegmentMover:
                 await asyncio.sleep(BACK_OFF_SECONDS_MIN)
 
     def _pause(self, failure: str, back_off: float) -> tuple[float, float]:
-        """How long to wait before the next look, and after the next failure."""
+        """The waits in seconds before the next look, and after the next failure."""
         if failure:
             return back_off, min(2 * back_off, BACK_OFF_SECONDS_MAX)
         look_s = min(LOOK_SECONDS_MAX, self._close_after_nanos / 4e9, self._listings.due_s())

@@ -61,7 +61,7 @@ class GetStream:
         self._plans = GetPlans()
         self._idle = asyncio.Event()  # set when the last call has ended
         self._outbox = Outbox(context, stream, self._ended, self._room_came, store.scheduler.begin, self._account)
-        # how many calls the caller's quota counts for this stream
+        # the number of calls that the caller's quota counts for this stream
         self._under_way = self._account.charge_for(Quota.WAITING_CALLS)
         self._held_back: dict[int, OpenGet] = {}  # released gets that wait for room in the outbox
         self._rights = request_rights(self._lose)

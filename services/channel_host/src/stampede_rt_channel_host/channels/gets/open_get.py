@@ -88,6 +88,6 @@ class OpenGet:
         return self._polled_at != self.hosted.changes
 
     def wait_nanos(self, now: int) -> int:
-        """How long the get may still wait, in nanoseconds; below 0: without limit."""
+        """The time in nanoseconds that the get may still wait; below 0: without limit."""
         wait_nanos = self.plan.wait_nanos
         return wait_nanos if wait_nanos < 0 else max(0, self._begun_at + wait_nanos - now)

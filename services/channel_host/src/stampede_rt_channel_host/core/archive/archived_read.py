@@ -103,7 +103,7 @@ class ArchivedRead:
     def __init__(self, moment: ChannelSnapshot, span: ArchiveSpan, query: Query, within: ResolvedInterval) -> None:
         self.continues = False
         self.within = within
-        self.missing_items = 0  # how many items are missing from the answer because the archive lacks them
+        self.missing_items = 0  # the items that are missing from the answer because the archive lacks them
         self._moment, self._span, self._query, self._within = moment, span, query, within
         self._held, self._retention = moment.look(0)
         self._has_dropped = span.has_dropped(moment.lost_before, moment.lost_from)

@@ -77,7 +77,7 @@ class _Search:
             yield self._doubt(len(self.segments) - 1, former, self.last, missing_items)
 
     def _count_missing(self, former: BlockHead | Segment | None, end_seq: int, ends: Sequence[int]) -> int:
-        """How many items are missing before this seq. `ends`: see `given_over`."""
+        """The number of items that are missing before this seq. `ends`: see `given_over`."""
         return given_over(self.segments[0].first_seq if former is None else former.end_seq, end_seq, ends)
 
     def _latest(self, accepted: int) -> int:

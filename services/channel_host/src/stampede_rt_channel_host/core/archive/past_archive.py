@@ -280,7 +280,7 @@ def is_nothing_left(segments: Sequence[Segment], past: PastArchive, *, has_dropp
 
 
 def _count_missing_first(segments: Sequence[Segment], past: PastArchive) -> int:
-    """How many items the archive lacks before the next items, if it has no item of that instant."""
+    """The number of items that the archive lacks before the next items, if it has no item of that instant."""
     if not segments:
         return 0
     next_seq = past.next_seq if past.next_items is None else past.next_items.first_seq

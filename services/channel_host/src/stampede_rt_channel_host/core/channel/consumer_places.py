@@ -20,7 +20,7 @@ from stampede_rt_channel_host.core.channel.seq_set import SeqSet
 from stampede_rt_channel_host.core.deadlines import Deadlines
 
 LEASE_NANOS = 10_000_000_000
-"""How long a `consume` keeps a place if it states no other lease."""
+"""The time that a `consume` keeps a place if it states no other lease."""
 
 PLACES_OF_ONE_MAX = 768
 """The most places with a valid lease for one caller, of the 1024 that a channel may have."""

@@ -136,5 +136,5 @@ class ItemBlocks:
 
 
 def _within(counts: Iterator[int], most: int) -> int:
-    """How many of the first counts have a sum of at most `most`."""
+    """The number of first counts whose sum is at most `most`."""
     return sum(1 for _ in takewhile(lambda total: total <= most, accumulate(counts)))

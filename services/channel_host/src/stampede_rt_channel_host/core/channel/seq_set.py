@@ -158,7 +158,7 @@ class CountedSeqs(SeqSet):
             first = till
 
     def count(self, first: int, end: int) -> int:
-        """How many of the seqs from `first` up to `end`, exclusive, are in the set.
+        """The number of seqs from `first` up to `end`, exclusive, that are in the set.
 
         Scans the ranges of the first and the last block, and adds the stored counts of the blocks between. If a range
         has `first`, the method counts the seqs of that range in one step.

@@ -21,7 +21,7 @@ from stampede_rt.values.timeline import clamp
 from stampede_rt_channel_host.core.group.cut import CutMember
 
 MAX_WAIT_NANOS_DEFAULT = 1_000_000_000
-"""How long an event waits for members that have not reached its cut, if the reader states no other time."""
+"""The time that an event waits for members that have not reached its cut, if the reader states no other time."""
 PENDING_MAX = 256
 """The most cuts without an event that a decider keeps."""
 

@@ -132,7 +132,7 @@ class KnownTimes:
     known_until: int | None
 
     def silent_nanos(self, now: int) -> int:
-        """How long the channel has had no put and no advance, as far as the host knows."""
+        """The time since the channel's last put or advance, as far as the host knows."""
         return max(0, (now if self.known_until is None else self.known_until) - self.silent_since)
 
     def age_nanos(self, now: int) -> int:

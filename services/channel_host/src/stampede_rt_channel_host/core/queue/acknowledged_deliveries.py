@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from itertools import islice
 from typing import NamedTuple
 
-KEPT_NANOS = 600_000_000_000  # how long a queue remembers an acknowledgement
+KEPT_NANOS = 600_000_000_000  # the time that a queue remembers an acknowledgement
 _IDS_PER_CHUNK = 256  # a chunk holds the acknowledgements of this many consecutive delivery ids
 BYTES_PER_CHUNK = 16 * _IDS_PER_CHUNK
 CHUNKS_MAX = 2**14

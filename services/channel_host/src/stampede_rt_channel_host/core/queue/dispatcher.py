@@ -123,7 +123,7 @@ class Dispatcher:
         self._cursors: OrderedDict[int, TakerCursor] = OrderedDict()
         self.batches: list[tuple[TakerState, Batch]] = []
         self.is_paused = self.has_more = False
-        self._left = ITEMS_DISPATCHED_MAX  # how many messages this call of the queue may still give to takers
+        self._left = ITEMS_DISPATCHED_MAX  # the number of messages that this call of the queue may still give to takers
 
     def __len__(self) -> int:
         """The number of waiting takers."""

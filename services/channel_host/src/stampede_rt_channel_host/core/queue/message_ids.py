@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 from heapq import merge
 from typing import NamedTuple
 
-KEPT_NANOS = 600_000_000_000  # how long a queue remembers an id
+KEPT_NANOS = 600_000_000_000  # the time that a queue remembers an id
 OVERHEAD_BYTES = 192
 """About how many bytes an id takes in addition to its characters."""
 KNOWN_BYTES_MAX = 16 * 2**20

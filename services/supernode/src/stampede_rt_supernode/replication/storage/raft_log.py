@@ -46,7 +46,7 @@ class RaftLog:
         self._kept_bytes_max = kept_bytes_max
         self._store = store
         self.write_times = Durations(WRITE_BOUNDS_SECONDS)
-        """How long the writes to the store took, each with its wait for the disk."""
+        """The durations of the writes to the store, each with its wait for the disk."""
         self._entries = state.entries
         self._term = state.term
         self._voted_for = state.voted_for
