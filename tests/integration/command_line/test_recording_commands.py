@@ -278,9 +278,10 @@ def test_the_commands_that_copy_a_recovered_file_name_everything_that_it_may_lac
         ("file", "merge", saved, "-o", tmp_path / "merged.mcap"),
     ):
         status, out, error_output = run(*words)
-        assert (status, "had no end, so items of channels that it does not name may be missing" in out) == (3, True), (
-            error_output
-        )
+        assert (status, "had no end, so items of channels that the file does not name may be missing" in out) == (
+            3,
+            True,
+        ), error_output
 
 
 def test_channels_are_replayed_with_their_durations_attributes_advances_and_gaps(

@@ -23,7 +23,9 @@ from stampede_rt.values.timeline import DurationLike
 from stampede_rt.wire.queues import DeliveredMessage
 
 SETTLEMENTS_MAX = 1024  # the most settlements of one request
-_ENDING_VERDICTS = ("give_back", "terminate")  # verdicts after which the host no longer knows the delivery
+# Verdicts that end the delivery and that the host refuses the second time, because it no longer knows the delivery. A
+# second "acknowledge" is no error at the host.
+_ENDING_VERDICTS = ("give_back", "terminate")
 
 
 class Settler:
@@ -53,11 +55,13 @@ class Settler:
             if result.HasField("error"):
                 error = from_error_message(result.error)
                 ends_delivery = settlement.WhichOneof("verdict") in _ENDING_VERDICTS
+                # An earlier try may have settled the message although its answer was lost. A later try then gets
+                # LeaseExpired, which is no failure.
                 if not (tries > 1 and ends_delivery and isinstance(error, LeaseExpired)):
-                    raise error  # otherwise: an earlier try may have settled the message, and its answer was lost
+                    raise error
             return result
 
-        return await attempt(self._locator, settle_at, CALL_TIMEOUT_S)
+        return await attempt(self._locator, settle_at, CALL_TIMEOUT_S)  # tries until the host answers
 
     async def give_back(self, messages: Sequence[Message], timeout_s: float) -> None:
         """Give back messages that no caller received. `max_deliveries` does not count these deliveries.
@@ -69,13 +73,13 @@ class Settler:
             async def settle_at(
                 binding: Binding, left_s: float, part: Sequence[Message] = messages[at : at + SETTLEMENTS_MAX]
             ) -> Sequence[queue_pb2.SettlementResult]:
-                held = [one.given_back() for one in part if one.incarnation == binding.incarnation]
-                return await self._settle_at(binding, held, left_s) if held else ()
+                returns = [one.give_back_settlement() for one in part if one.incarnation == binding.incarnation]
+                return await self._settle_at(binding, returns, left_s) if returns else ()
 
             await attempt(self._locator, settle_at, timeout_s)
 
     async def extend(self, messages: Sequence[Message], timeout_s: float) -> list[Message]:
-        """Renew the lease of each message for its `lease_s`, counted from now.
+        """Renew the lease of each message. The new lease lasts for the message's `lease_s` seconds from now on.
 
         Returns the messages whose leases the host has renewed.
         """
@@ -84,11 +88,11 @@ class Settler:
             part = messages[at : at + SETTLEMENTS_MAX]
 
             async def settle_at(binding: Binding, left_s: float, part: Sequence[Message] = part) -> list[Message]:
-                held = [one for one in part if one.incarnation == binding.incarnation]
+                known = [one for one in part if one.incarnation == binding.incarnation]
                 began_s = monotonic_s()
-                settlements = [one.extended() for one in held]
-                results = await self._settle_at(binding, settlements, left_s) if held else ()
-                return [one for one, result in zip(held, results, strict=True) if one.has_extended(result, began_s)]
+                settlements = [one.extend_settlement() for one in known]
+                results = await self._settle_at(binding, settlements, left_s) if known else ()
+                return [one for one, result in zip(known, results, strict=True) if one.note_extended(result, began_s)]
 
             extended += await attempt(self._locator, settle_at, timeout_s)
         return extended
@@ -97,7 +101,7 @@ class Settler:
         self, binding: Binding, settlements: Sequence[queue_pb2.Settlement], timeout_s: float
     ) -> Sequence[queue_pb2.SettlementResult]:
         endpoint = self._session.endpoints.to(binding.target)
-        request = queue_service_pb.SettleRequest(
+        request = queue_service_pb.SettleRequest(  # the subject of this binding is the queue
             queue_id=binding.subject_id, epoch=binding.epoch, taker_id=self._taker_id, settlements=settlements
         )
         response: queue_service_pb.SettleResponse = await endpoint.call(endpoint.queues.Settle, request, timeout_s)
@@ -115,7 +119,8 @@ class Message(BoundToProcess):
       type.
     - `seq` is the message's number in the queue, within one `incarnation` of the queue.
     - `time` is the message's time, in nanoseconds since the epoch: by default the time at which the queue accepted it.
-    - `deliveries` counts the deliveries of this message, from 1. In a queue with `copies` it counts those of this copy.
+    - `deliveries` is the number of deliveries of this message so far, with this one. If the queue has `copies`, each
+      copy has a number of its own.
     - `lease_s` is the length of the lease in seconds at the delivery. `extend` does not change it.
     - `origin` says which queue a dead letter left, and why. It is None for other messages.
     """
@@ -149,7 +154,7 @@ class Message(BoundToProcess):
         return self._coding.decode(self.payload, self.content_type, f"message #{self.seq}")
 
     def decode(self, codec: CodecLike) -> Any:
-        """Return the payload, decoded with `codec`. Use this for a mailbox, to which senders may use different codecs.
+        """Return the payload, decoded with `codec`. Use this for a mailbox, because each sender may use another codec.
 
         Raises CodecError, also if the message has another content type than the codec.
         """
@@ -191,6 +196,7 @@ class Message(BoundToProcess):
 
         Raises LeaseExpired, Unavailable, InvalidArgument.
         """
+        # None becomes 0, and the host refuses 0 with InvalidArgument.
         extension = queue_pb2.ExtendLease(lease_nanos=parse_lease(lease) or 0)
         began_s = monotonic_s()
         result = await self._send(queue_pb2.Settlement(extend_lease=extension))
@@ -204,18 +210,18 @@ class Message(BoundToProcess):
         settlement.delivery_id = self._delivery.delivery_id
         return await self._settler.settle(settlement, self.incarnation)
 
-    def given_back(self) -> queue_pb2.Settlement:
+    def give_back_settlement(self) -> queue_pb2.Settlement:
         """Return the settlement that gives the message back. `max_deliveries` then does not count the delivery."""
         give_back = queue_pb2.GiveBack(uncounted=True)
         return queue_pb2.Settlement(delivery_id=self._delivery.delivery_id, give_back=give_back)
 
-    def extended(self) -> queue_pb2.Settlement:
-        """Return the settlement that renews the lease for `lease_s`, counted from now."""
+    def extend_settlement(self) -> queue_pb2.Settlement:
+        """Return the settlement that renews the lease, for `lease_s` seconds from now on."""
         extension = queue_pb2.ExtendLease(lease_nanos=self._delivery.lease_nanos)
         return queue_pb2.Settlement(delivery_id=self._delivery.delivery_id, extend_lease=extension)
 
-    def has_extended(self, result: queue_pb2.SettlementResult, began_s: float) -> bool:
-        """Note the host's answer to `extended`. The client sent that request at `began_s` on the monotonic clock.
+    def note_extended(self, result: queue_pb2.SettlementResult, began_s: float) -> bool:
+        """Note the host's answer to `extend_settlement`, which the client sent at `began_s` on the monotonic clock.
 
         Returns whether the host has renewed the lease.
         """

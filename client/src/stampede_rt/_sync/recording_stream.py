@@ -27,9 +27,11 @@ WINDOW_BYTES = 1024 * 1024  # the bytes that the host may send ahead of the reco
 
 @dataclass(slots=True)
 class RecordedBatch:
-    """The events since the last batch: items in seq order, gaps, and the last advance with the seq that it follows.
+    """The events since the last batch: items in seq order, gaps, and the last advance.
 
-    `read_to`: this batch and earlier ones have all items up to this seq, or name them as missing. None: unchanged.
+    `advance` is the instant of the advance, and the seq of the last item that the host accepted before the advance.
+    `read_to`: this batch and the earlier ones have all items up to this seq, or name them as missing. None: the value
+    of the batch before.
     `next_live_seq`: the host was lost, and the items after this batch are of the next incarnation, from this seq on.
     """
 
@@ -70,10 +72,13 @@ class RecordingStream(Subscription):
         held: bool,
         from_first: bool = False,
     ) -> RecordingStream:
-        """Make the subscription: the held items from `start` on (None: none), and all later ones.
+        """Make the subscription. It gives the items from `start` on that the channel holds, and all later items.
+
+        If `start` is None, it gives only the later items.
 
         `from_first`: all items of the present incarnation. The host then names the items that it no longer holds.
         """
+        # A copy may serve a recording, because it sends all items, and only later than the owner.
         opening = channel_pb.SubscribeOpen(mode=channel_pb.SUBSCRIBE_MODE_ALL, stale_ok=True)
         if from_first:
             opening.after.CopyFrom(item_pb2.ItemPosition(seq=0, incarnation=state.info.incarnation))
@@ -130,7 +135,7 @@ class RecordingStream(Subscription):
                 self.incarnation, self.opened_seq = response.opened.incarnation, response.opened.next_seq
         if response.HasField("gap"):
             self._batch.gaps.append(self._gap(response.gap))
-        super()._take(response, runs)
+        super()._take(response, runs)  # decodes the items; the advance follows them, and the gap is before them
         if response.HasField("progress") and response.progress.HasField("advance_unix_nano"):
             advance = response.progress.advance_unix_nano
             if advance != self._reported_advance:
@@ -138,7 +143,8 @@ class RecordingStream(Subscription):
                 self._batch.advance = (advance, response.progress.next_seq - 1)
 
     def _gap(self, gap: channel_pb.SubscriptionGap) -> RecordingGap:
-        if gap.reason == error_pb2.ABSENCE_REASON_LOST and not gap.items:  # with items, the archive lacks them
+        # LOST without a number of items: the host was lost. LOST with a number: the archive lacks this many items.
+        if gap.reason == error_pb2.ABSENCE_REASON_LOST and not gap.items:
             return self._loss(gap)
         return RecordingGap(
             channel=self._state.info.name,
@@ -151,7 +157,11 @@ class RecordingStream(Subscription):
         )
 
     def _loss(self, gap: channel_pb.SubscriptionGap) -> RecordingGap:
-        """Return the gap at the end of the present incarnation. The items after the gap belong to the next one."""
+        """Return the gap at the end of the present incarnation. The items after the gap belong to the next incarnation.
+
+        The next incarnation gives `gap.first_seq` to its first item. The former host may have given the same seq to an
+        item that is lost, or that the recording has already read. So the gap begins after the last item that was read.
+        """
         former, self.incarnation = self.incarnation, self._next_incarnation
         self._batch.next_live_seq = gap.first_seq
         return RecordingGap(
@@ -160,7 +170,11 @@ class RecordingStream(Subscription):
         )  # fmt: skip
 
     def latest_time(self) -> int | None:
-        """The greatest time of an item that the host can have accepted until now; None: not known."""
+        """Return an upper bound for the times of the items that the host has accepted so far; None: not known.
+
+        A host accepts items up to `max_future` ahead of its clock. `apart_nanos` is the greatest possible difference
+        between the clocks of this process and of the host.
+        """
         clock, future = self._session.supernodes.clock, self._state.info.policy.max_future_nanos
         if clock is None:
             return None

@@ -10,10 +10,10 @@ FORMS = ("table", "json", "jsonl")
 
 
 def add_output(parser: argparse.ArgumentParser, default: str = "table") -> None:
-    """Add the option for the form of the output."""
+    """Add the option for the output format."""
     parser.add_argument("-o", "--output", choices=FORMS, default=default, help="the form of the output; default table")
 
 
-def json_text(value: Any, form: str) -> str:
-    """Return one JSON value: on several lines in the form "json", on one line in the form "jsonl"."""
-    return json.dumps(value, indent=2 if form == "json" else None)
+def json_text(value: Any, output_format: str) -> str:
+    """Return one JSON value: on several lines in the format "json", on one line in the format "jsonl"."""
+    return json.dumps(value, indent=2 if output_format == "json" else None)

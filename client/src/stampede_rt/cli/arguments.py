@@ -66,11 +66,11 @@ def connected(arguments: argparse.Namespace, name: str | None = None) -> Connect
     from stampede_rt import connect  # gRPC takes 0.1 s to load; --help does not need it
 
     rt = connect(arguments.url or os.environ.get("STAMPEDE_URL"), name=name)
-    interruption.closes(rt.close)
+    interruption.add_close(rt.close)
     return rt
 
 
-def existing(rt: Connection, name: str) -> Channel:
+def existing_channel(rt: Connection, name: str) -> Channel:
     """Open an existing channel. Raises ChannelNotFound with an error text for users of the command line."""
     try:
         return rt.channel(name, create=False)

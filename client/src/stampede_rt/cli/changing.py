@@ -7,7 +7,7 @@ import sys
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from stampede_rt.cli.arguments import add_verb, connected, existing, is_glob
+from stampede_rt.cli.arguments import add_verb, connected, existing_channel, is_glob
 from stampede_rt.cli.exit_statuses import FAILED
 from stampede_rt.cli.output import number_of, policy_text, print_facts, print_rows
 from stampede_rt.cli.policy_options import add_limits, limits_of
@@ -46,7 +46,7 @@ def run_rm(arguments: argparse.Namespace) -> int:
 def _is_deleted(rt: Connection, name: str) -> bool:
     """Delete a channel. If that fails, say why, and return False."""
     try:
-        existing(rt, name).delete()
+        existing_channel(rt, name).delete()
     except StampedeError as error:
         print(f"stampede: {escaped(error.message)}", file=sys.stderr)
         return False
@@ -79,7 +79,7 @@ def run_configure(arguments: argparse.Namespace) -> int:
     if all(value is None for value in stated.values()):
         raise InvalidArgument("state at least one setting, such as --max-age 30s; see stampede configure --help")
     with connected(arguments) as rt:
-        policy = existing(rt, arguments.channel).configure(**stated)
+        policy = existing_channel(rt, arguments.channel).configure(**stated)
     if arguments.output == "table":
         print_facts({"channel": arguments.channel, "keeps": policy_text(policy)}, "table")
     else:

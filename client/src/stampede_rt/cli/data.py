@@ -12,7 +12,7 @@ from stampede_rt.cli.arguments import (
     add_verb,
     checked,
     connected,
-    existing,
+    existing_channel,
     parse_bound_text,
     parse_count,
     parse_time,
@@ -114,7 +114,7 @@ def run_get(arguments: argparse.Namespace) -> int:
     """Get items and print them, or say why there are none."""
     _check_options(arguments)
     with connected(arguments) as rt:
-        items, reason = _get(existing(rt, arguments.channel), arguments)
+        items, reason = _get(existing_channel(rt, arguments.channel), arguments)
     if arguments.raw:
         for item in items:
             check_raw_output(item.payload or b"")
@@ -188,7 +188,7 @@ def run_echo(arguments: argparse.Namespace) -> int:
     """Print items as they come."""
     with (
         connected(arguments) as rt,
-        existing(rt, arguments.channel).subscribe(
+        existing_channel(rt, arguments.channel).subscribe(
             arguments.start, arguments.mode, payloads=not arguments.no_payloads, via=arguments.via
         ) as subscription,
     ):

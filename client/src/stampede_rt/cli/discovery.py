@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.archive_facts import archive_facts
-from stampede_rt.cli.arguments import add_verb, connected, existing
+from stampede_rt.cli.arguments import add_verb, connected, existing_channel
 from stampede_rt.cli.channel_users import user_facts
 from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.output import bytes_text, policy_text, print_facts, print_rows
@@ -41,10 +41,10 @@ def run_ls(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _row(channel: ChannelInfo, form: str) -> dict[str, Any]:
+def _row(channel: ChannelInfo, output_format: str) -> dict[str, Any]:
     return {
         "channel": channel.name,
-        "host": channel.host if channel.host_alive or form != "table" else f"{channel.host} (lost)",
+        "host": channel.host if channel.host_alive or output_format != "table" else f"{channel.host} (lost)",
         "keeps": policy_text(channel.policy),
         "content_type": channel.policy.content_type,
         "epoch": channel.epoch,
@@ -52,7 +52,7 @@ def _row(channel: ChannelInfo, form: str) -> dict[str, Any]:
 
 
 def _add_counters(
-    rt: Connection, glob: str, channels: list[ChannelInfo], rows: list[dict[str, Any]], form: str
+    rt: Connection, glob: str, channels: list[ChannelInfo], rows: list[dict[str, Any]], output_format: str
 ) -> None:
     hosts = {channel.host for channel in channels if channel.host_alive}
     stats = {(name, host): one for host in hosts for name, one in rt.hosted_channels(host, glob).items()}
@@ -61,14 +61,16 @@ def _add_counters(
         one = stats.get((channel.name, channel.host))
         held_bytes = one.held_bytes if one else None
         row["held"] = one.held if one else None
-        row["held_bytes"] = bytes_text(held_bytes) if form == "table" and held_bytes is not None else held_bytes
+        row["held_bytes"] = (
+            bytes_text(held_bytes) if output_format == "table" and held_bytes is not None else held_bytes
+        )
         row["accepted"] = one.accepted if one else None
 
 
 def run_info(arguments: argparse.Namespace) -> int:
     """Print a channel's policy and counters."""
     with connected(arguments) as rt:
-        channel = existing(rt, arguments.channel)
+        channel = existing_channel(rt, arguments.channel)
         stats = channel.stats()
         info = channel.info
         proxies = rt.proxies(channel) if stats.copies else []

@@ -70,8 +70,8 @@ def _where(finding: CheckResult) -> str:
     return finding.part if finding.address == "-" else f"{finding.part} {finding.address}"
 
 
-def _row(finding: CheckResult, form: str) -> dict[str, Any]:
-    for_people, seen = form == "table", finding.seen
+def _row(finding: CheckResult, output_format: str) -> dict[str, Any]:
+    for_people, seen = output_format == "table", finding.seen
 
     def duration(nanos: int | None, if_none: str | None = None) -> Any:
         return nanos if not for_people else if_none if nanos is None else format_duration(nanos)

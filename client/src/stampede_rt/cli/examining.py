@@ -274,9 +274,8 @@ def _holdings(kind: str, field: str, pages: Iterable[Any]) -> Inventory | None:
         if page is None:
             return None
         hosts = {host.host_id: host for host in page.hosts}
-        records = getattr(page, field)
-        count += len(records)
-        for one in records:
+        count += len(getattr(page, field))
+        for one in getattr(page, field):
             host = hosts.get(one.host_id)
             if host is not None and not host.alive:
                 is_recorded = kind == "channel" and policy_from_spec(one.spec).is_recorded

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import add_summary, add_verb, checked, parse_time
 from stampede_rt.cli.exit_statuses import INCOMPLETE
-from stampede_rt.cli.held_items import file_of
+from stampede_rt.cli.held_items import file_with_items_of
 from stampede_rt.cli.output import print_document, print_rows
 from stampede_rt.cli.progress import shown_progress
 from stampede_rt.cli.record import GAPS_SHOWN, gap_text, print_summary
@@ -38,27 +38,29 @@ def add_verbs(subparsers: Any) -> None:
     export.add_argument(
         "--channel", action="append", metavar="GLOB", help="only these topics of a file; may be repeated"
     )
-    export.add_argument("--from", dest="start", type=checked(parse_time), metavar="TIME", help="the first time")
-    export.add_argument("--to", dest="end", type=checked(parse_time), metavar="TIME", help="the end, exclusive")
+    export.add_argument("--from", dest="start", type=checked(parse_time), metavar="TIME", help="the earliest time")
+    export.add_argument(
+        "--to", dest="end", type=checked(parse_time), metavar="TIME", help="the end of the times, exclusive"
+    )
     export.add_argument("--overwrite", action="store_true", help="overwrite an existing file")
     add_summary(export)
 
 
 def run_export(arguments: argparse.Namespace) -> int:
     """Export. The status is 3 if anything is missing."""
-    form = arguments.format or Path(arguments.file).suffix.removeprefix(".")
-    if form not in FORMATS:
+    file_format = arguments.format or Path(arguments.file).suffix.removeprefix(".")
+    if file_format not in FORMATS:
         raise InvalidArgument(f"the name {arguments.file} does not show the format; give --format {', '.join(FORMATS)}")
     folder = Path(arguments.file).absolute().parent
     made_in = folder if folder.is_dir() else None
-    with file_of(arguments, arguments.sources, made_in, needs_items=form != "mcap") as (path, status):
+    with file_with_items_of(arguments, arguments.sources, made_in, needs_items=file_format != "mcap") as (path, status):
         began_s = time.monotonic()
         with shown_progress(lambda: (None, f"writing {escaped(arguments.file)}, {time.monotonic() - began_s:.0f} s")):
-            exported = _export_file(path, arguments, form)
+            exported = _export_file(path, arguments, file_format)
         return max(status, exported())
 
 
-def _export_file(path: str, arguments: argparse.Namespace, form: str) -> Callable[[], int]:
+def _export_file(path: str, arguments: argparse.Namespace, file_format: str) -> Callable[[], int]:
     """Write the file. Returns the function that prints the summary and returns the status."""
     from stampede_rt.files.editing import cut
     from stampede_rt.files.exporting import export_tables
@@ -68,13 +70,13 @@ def _export_file(path: str, arguments: argparse.Namespace, form: str) -> Callabl
     start = MIN_INSTANT if arguments.start is None else arguments.start
     end = MAX_INSTANT if arguments.end is None else arguments.end
     chosen = matches_any(arguments.channel)
-    if form == "mcap":
+    if file_format == "mcap":
         written = cut(path, arguments.file, start=start, end=end, chosen=chosen, overwrite=arguments.overwrite)
         return lambda: _written(written, arguments)
     source = source_of(path)
     try:
         tables = export_tables(
-            source, arguments.file, form, chosen=chosen, start=start, end=end, overwrite=arguments.overwrite
+            source, arguments.file, file_format, chosen=chosen, start=start, end=end, overwrite=arguments.overwrite
         )
     finally:
         source.close()

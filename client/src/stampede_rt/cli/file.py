@@ -40,8 +40,10 @@ def add_verbs(subparsers: Any) -> None:
     recover.add_argument("path", metavar="FILE", help="an MCAP file")
     cut = _verb(verbs, "cut", "copy the items of an interval, or of some channels", run_cut)
     cut.add_argument("path", metavar="FILE", help="an MCAP file")
-    cut.add_argument("--from", dest="start", type=checked(parse_time), metavar="TIME", help="the first time")
-    cut.add_argument("--to", dest="end", type=checked(parse_time), metavar="TIME", help="the end, exclusive")
+    cut.add_argument("--from", dest="start", type=checked(parse_time), metavar="TIME", help="the earliest time")
+    cut.add_argument(
+        "--to", dest="end", type=checked(parse_time), metavar="TIME", help="the end of the times, exclusive"
+    )
     cut.add_argument(
         "--channel", action="append", metavar="GLOB", help="a name, or a glob such as 'rig/*'; may be repeated"
     )
@@ -120,8 +122,8 @@ def run_recover(arguments: argparse.Namespace) -> int:
     return 0 if report.summary.complete else INCOMPLETE
 
 
-def _print_report(report: FileReport, form: str, *, is_complete: bool) -> None:
-    print_summary(report.summary, form, is_complete=is_complete)
+def _print_report(report: FileReport, output_format: str, *, is_complete: bool) -> None:
+    print_summary(report.summary, output_format, is_complete=is_complete)
     for damage in report.damages[:DAMAGES_SHOWN]:
         place = f"byte {damage.offset} to {damage.end}"
         print(f"stampede: damaged: {place}: {escaped(damage.detail)}", file=sys.stderr)

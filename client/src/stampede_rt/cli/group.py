@@ -11,7 +11,7 @@ from stampede_rt.cli.arguments import (
     add_verb,
     checked,
     connected,
-    existing,
+    existing_channel,
     parse_bound_text,
     parse_count,
 )
@@ -111,9 +111,9 @@ def run_ls(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _group_row(info: GroupInfo, names: dict[bytes, str], form: str) -> dict[str, Any]:
+def _group_row(info: GroupInfo, names: dict[bytes, str], output_format: str) -> dict[str, Any]:
     idle: int | str | None = info.idle_after_nanos
-    if form == "table" and info.idle_after_nanos is not None:
+    if output_format == "table" and info.idle_after_nanos is not None:
         idle = format_duration(info.idle_after_nanos)
     return {
         "group": info.name,
@@ -128,7 +128,7 @@ def _group_row(info: GroupInfo, names: dict[bytes, str], form: str) -> dict[str,
 def run_create(arguments: argparse.Namespace) -> int:
     """Create a group."""
     with connected(arguments) as rt:
-        members = [existing(rt, name) for name in arguments.channels]
+        members = [existing_channel(rt, name) for name in arguments.channels]
         group = rt.group(
             arguments.group,
             members,
@@ -141,9 +141,9 @@ def run_create(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _print_members(group: Group, form: str) -> None:
+def _print_members(group: Group, output_format: str) -> None:
     names = [channel.name for channel in group.channels]
-    print_done({"group": group.name, "channels": names}, f"{group.name}: {', '.join(names)}", form)
+    print_done({"group": group.name, "channels": names}, f"{group.name}: {', '.join(names)}", output_format)
 
 
 def run_status(arguments: argparse.Namespace) -> int:
@@ -169,9 +169,9 @@ def _status_line(status: GroupStatus[Channel]) -> str:
     )
 
 
-def _member_row(status: GroupStatus[Channel], channel: Channel, form: str) -> dict[str, Any]:
+def _member_row(status: GroupStatus[Channel], channel: Channel, output_format: str) -> dict[str, Any]:
     member = status.members[channel]
-    for_people = form == "table"
+    for_people = output_format == "table"
     return {
         "channel": channel.name,
         "newest": instant_text(member.newest) if for_people and member.newest is not None else member.newest,
@@ -211,9 +211,9 @@ def run_get(arguments: argparse.Namespace) -> int:
     return _print_items({channel.name: list(items) for channel, items in found.items()}, reasons, arguments.output)
 
 
-def _print_items(items: dict[str, list[Item]], reasons: dict[str, Reason], form: str) -> int:
+def _print_items(items: dict[str, list[Item]], reasons: dict[str, Reason], output_format: str) -> int:
     """Print the visible items of each channel. If items are missing, print the reason on standard error."""
-    if form == "table":
+    if output_format == "table":
         for name, held in items.items():
             print("\n".join(f"{name}  {item_line(item)}" for item in held) or f"{name}  nothing visible")
     else:
@@ -268,7 +268,7 @@ def run_change(arguments: argparse.Namespace) -> int:
 
 
 def _group_and_channel(rt: Connection, arguments: argparse.Namespace) -> tuple[Group, Channel]:
-    return existing_group(rt, arguments.group), existing(rt, arguments.channel)
+    return existing_group(rt, arguments.group), existing_channel(rt, arguments.channel)
 
 
 def run_delete(arguments: argparse.Namespace) -> int:

@@ -25,10 +25,10 @@ from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
 
 
 @contextmanager
-def file_of(
+def file_with_items_of(
     arguments: argparse.Namespace,
     sources: Sequence[str],
-    folder: Path | None,
+    folder: Path | None = None,
     *,
     from_start: bool = False,
     needs_items: bool = True,
@@ -79,7 +79,7 @@ def _record(arguments: argparse.Namespace, sources: Sequence[str], path: Path, s
         shown_progress(recording_progress(recorder, None)),
     ):
         summary = recorder.wait()
-    assert summary is not None, "the recording has no limit of time here"
+    assert summary is not None, "`wait` without a timeout returns the summary"
     for text in summary.absent if summary.channels else ():
         print(f"stampede: missing: {escaped(text)}", file=sys.stderr)
     if not summary.channels and recorder.channels:

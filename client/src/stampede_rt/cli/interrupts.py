@@ -38,7 +38,7 @@ class Interruption:
         self._closes: list[Callable[[], object]] = []
         self.regular_end: tuple[Callable[[], object], float] | None = None
 
-    def ends(self, stop: Callable[[], object], limit_s: float) -> None:
+    def set_regular_end(self, stop: Callable[[], object], limit_s: float) -> None:
         """Make Ctrl-C the regular end of the command: Ctrl-C then calls `stop`, and the command returns its own status.
 
         If the command has not ended `limit_s` seconds later, the process ends with INTERRUPTED, as after Ctrl-C in
@@ -46,7 +46,7 @@ class Interruption:
         """
         self.regular_end = (stop, limit_s)
 
-    def closes(self, close: Callable[[], object]) -> None:
+    def add_close(self, close: Callable[[], object]) -> None:
         """Keep the function `close`. After Ctrl-C a separate thread calls it.
 
         If Ctrl-C came before and the command has no regular end, calls `close` immediately, because the command must
@@ -57,7 +57,7 @@ class Interruption:
             self.close()
 
     def close(self) -> None:
-        """Call all functions that `closes` has kept, the latest first, and forget them."""
+        """Call all functions that `add_close` has kept, the latest first, and forget them."""
         while self._closes:
             with suppress(Exception):  # the process ends in any case
                 self._closes.pop()()
@@ -75,8 +75,8 @@ interruption = Interruption()
 def run_interruptibly(work: Callable[[], int]) -> int:
     """Run `work` on a separate thread and return its exit status. After Ctrl-C the process ends with INTERRUPTED.
 
-    A command with a regular end (`Interruption.ends`) has its own status if it ends in time. SIGTERM and SIGHUP end it
-    in the same way, because service managers, scripts and closed terminals send these signals.
+    A command with a regular end (`set_regular_end`) has its own status if it ends in time. SIGTERM and SIGHUP end it in
+    the same way, because service managers, scripts and closed terminals send these signals.
 
     After Ctrl-C this function closes the command's connections, and waits for the end of `work`. Both together
     take at most CLOSE_S. A command with a regular end first has `limit_s` to end, and then CLOSE_AFTER_STOP_S. A

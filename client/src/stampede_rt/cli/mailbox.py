@@ -87,8 +87,8 @@ def _advice(peers: list[PeerInfo]) -> list[str]:
     ]
 
 
-def _row(peer: PeerInfo, hosts: dict[bytes, str], form: str) -> dict[str, Any]:
-    for_people = form == "table"
+def _row(peer: PeerInfo, hosts: dict[bytes, str], output_format: str) -> dict[str, Any]:
+    for_people = output_format == "table"
     return {
         "peer": peer.name or peer.peer_id.hex(),
         "alive": ("yes" if peer.alive else "no") if for_people else peer.alive,

@@ -56,12 +56,12 @@ def payload_of(arguments: argparse.Namespace) -> bytes:
     )
 
 
-def print_sent(thing: dict[str, Any], enqueued: Enqueued, form: str) -> None:
+def print_sent(thing: dict[str, Any], enqueued: Enqueued, output_format: str) -> None:
     """Print the seq of an accepted message. `thing` has one entry: the kind and the name of the queue or mailbox."""
     (name,) = thing.values()
     known = " (the queue has this message id already)" if enqueued.duplicate else ""
     done = thing | {"seq": enqueued.seq, "duplicate": enqueued.duplicate}
-    print_done(done, f"{name} #{enqueued.seq}{known}", form)
+    print_done(done, f"{name} #{enqueued.seq}{known}", output_format)
 
 
 def take(source: MessageSource, arguments: argparse.Namespace) -> int:
@@ -128,9 +128,9 @@ def _origin_row(origin: DeadLetterOrigin) -> dict[str, Any]:
     return asdict(origin) | ids | {"taker_id": f"{origin.taker_id:016x}"}
 
 
-def print_pending(pending: Sequence[PendingMessage], name: str, form: str) -> None:
+def print_pending(pending: Sequence[PendingMessage], name: str, output_format: str) -> None:
     """List leased messages and their takers."""
-    for_people = form == "table"
+    for_people = output_format == "table"
     rows = [
         {
             "seq": one.seq,
@@ -142,12 +142,12 @@ def print_pending(pending: Sequence[PendingMessage], name: str, form: str) -> No
         }
         for one in pending
     ]
-    print_rows(rows, form, none=f"no message of {name} is leased")
+    print_rows(rows, output_format, none=f"no message of {name} is leased")
 
 
-def counted(stats: QueueStats, form: str) -> dict[str, Any]:
+def counted(stats: QueueStats, output_format: str) -> dict[str, Any]:
     """Return a queue's counters by their names, for a table with texts for people or for JSON."""
-    for_people = form == "table"
+    for_people = output_format == "table"
     age = None if stats.oldest is None else stats.host_time - stats.oldest
     return {
         "held": stats.held,

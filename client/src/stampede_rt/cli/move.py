@@ -6,7 +6,7 @@ import argparse
 from dataclasses import asdict
 from typing import Any
 
-from stampede_rt.cli.arguments import add_verb, connected, existing
+from stampede_rt.cli.arguments import add_verb, connected, existing_channel
 from stampede_rt.cli.output import print_facts, print_rows
 from stampede_rt.values.proxying import MoveInfo
 from stampede_rt.values.timeline import format_duration
@@ -32,7 +32,7 @@ def run_move(arguments: argparse.Namespace) -> int:
         if arguments.queue:
             moved = rt.move_queue(arguments.channel, arguments.host)
         else:
-            moved = rt.move(existing(rt, arguments.channel), arguments.host)
+            moved = rt.move(existing_channel(rt, arguments.channel), arguments.host)
     print_facts(move_row(moved, arguments.output), arguments.output)
     return 0
 
@@ -46,9 +46,9 @@ def run_rebalance(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def move_row(moved: MoveInfo, form: str) -> dict[str, Any]:
+def move_row(moved: MoveInfo, output_format: str) -> dict[str, Any]:
     """Return a move as facts to print, for people or for programs."""
     facts = asdict(moved)
-    if form == "table":
+    if output_format == "table":
         facts["puts waited"] = format_duration(facts.pop("blackout_nanos"))
     return facts

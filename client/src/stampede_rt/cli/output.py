@@ -18,14 +18,14 @@ from stampede_rt.values.policy import FOREVER_NANOS
 from stampede_rt.values.timeline import format_duration
 
 
-def print_rows(rows: Sequence[Mapping[str, Any]], form: str, *, none: str) -> None:
-    """Print rows in the `form` "table", "json" (an array) or "jsonl" (one line for each row).
+def print_rows(rows: Sequence[Mapping[str, Any]], output_format: str, *, none: str) -> None:
+    """Print rows in the `output_format` "table", "json" (an array) or "jsonl" (one line for each row).
 
     All rows have the same keys. `none` is the text to print instead of an empty table.
     """
-    if form == "json":
+    if output_format == "json":
         print(json.dumps(rows, indent=2))
-    elif form == "jsonl":
+    elif output_format == "jsonl":
         for row in rows:
             print(json.dumps(row))
     elif not rows:
@@ -52,27 +52,27 @@ def _is_number(cell: str) -> bool:
     return cell == "-" or cell.replace(".", "", 1).replace(",", "").lstrip("-").isdecimal()
 
 
-def print_facts(facts: Mapping[str, Any], form: str) -> None:
+def print_facts(facts: Mapping[str, Any], output_format: str) -> None:
     """Print one thing: a line for each fact, or a JSON object."""
-    if form != "table":
-        print(json_text(facts, form))
+    if output_format != "table":
+        print(json_text(facts, output_format))
         return
     width = max(len(key) for key in facts)
     for key, value in facts.items():
         print(f"{key.replace('_', ' '):<{width}}  {_cell(value)}")
 
 
-def print_document(value: Any, form: str) -> None:
-    """Print one JSON value: on several lines in the form "json", on one line in the form "jsonl"."""
-    print(json_text(value, form))
+def print_document(value: Any, output_format: str) -> None:
+    """Print one JSON value: on several lines in the format "json", on one line in the format "jsonl"."""
+    print(json_text(value, output_format))
 
 
-def print_done(facts: Mapping[str, Any], text: str, form: str) -> None:
+def print_done(facts: Mapping[str, Any], text: str, output_format: str) -> None:
     """Print what a verb has changed: `text` for people, `facts` as one JSON object for programs."""
-    if form == "table":
+    if output_format == "table":
         print(escaped(text))
     else:
-        print_document(facts, form)
+        print_document(facts, output_format)
 
 
 def print_behind(behind: Mapping[str, str]) -> None:

@@ -6,7 +6,7 @@ import argparse
 from dataclasses import asdict
 from typing import Any
 
-from stampede_rt.cli.arguments import add_verb, connected, existing
+from stampede_rt.cli.arguments import add_verb, connected, existing_channel
 from stampede_rt.cli.output import print_done, print_facts, print_rows
 from stampede_rt.cli.verb_parser import VerbParser
 from stampede_rt.values.proxying import ProxyInfo
@@ -34,7 +34,7 @@ def add_verbs(subparsers: Any) -> None:
 def run_add(arguments: argparse.Namespace) -> int:
     """Add a proxy."""
     with connected(arguments) as rt:
-        proxy = rt.proxy(existing(rt, arguments.channel), arguments.host, source=arguments.source)
+        proxy = rt.proxy(existing_channel(rt, arguments.channel), arguments.host, source=arguments.source)
     print_facts(proxy_row(proxy, arguments.output), arguments.output)
     return 0
 
@@ -42,7 +42,7 @@ def run_add(arguments: argparse.Namespace) -> int:
 def run_rm(arguments: argparse.Namespace) -> int:
     """Remove a proxy."""
     with connected(arguments) as rt:
-        rt.remove_proxy(existing(rt, arguments.channel), arguments.host)
+        rt.remove_proxy(existing_channel(rt, arguments.channel), arguments.host)
     done = {"channel": arguments.channel, "host": arguments.host, "removed": True}
     print_done(done, f"{arguments.host} no longer has a proxy of {arguments.channel}", arguments.output)
     return 0
@@ -51,16 +51,16 @@ def run_rm(arguments: argparse.Namespace) -> int:
 def run_ls(arguments: argparse.Namespace) -> int:
     """List the proxies of a channel."""
     with connected(arguments) as rt:
-        proxies = rt.proxies(existing(rt, arguments.channel))
+        proxies = rt.proxies(existing_channel(rt, arguments.channel))
     rows = [proxy_row(proxy, arguments.output) for proxy in proxies]
     print_rows(rows, arguments.output, none=f"channel {arguments.channel} has no proxies")
     return 0
 
 
-def proxy_row(proxy: ProxyInfo, form: str) -> dict[str, Any]:
+def proxy_row(proxy: ProxyInfo, output_format: str) -> dict[str, Any]:
     """Return a proxy as facts to print, for people or for programs."""
     facts = asdict(proxy)
-    if form == "table":
+    if output_format == "table":
         lag = facts.pop("staleness_nanos")
         facts["lag"] = None if lag is None else f"at most {format_duration(lag)}"
     return facts

@@ -35,7 +35,7 @@ from stampede_rt.values.timeline import parse_item_duration
 if TYPE_CHECKING:
     from stampede_rt import Channel, Producer
 
-STOP_S = 1.0  # the wait, after Ctrl-C, until the host has acknowledged the last items
+STOP_S = 1.0  # after Ctrl-C the command waits at most this time for the host to acknowledge the last items
 FLUSH_S = 30.0  # the wait for the last acknowledgements
 RATE_MIN, RATE_MAX = 1e-5, 1e6  # items per second; the least one is about one a day
 
@@ -115,7 +115,7 @@ def _put_one(channel: Channel, payload: bytes, arguments: argparse.Namespace) ->
 def _put_many(channel: Channel, payload: bytes, arguments: argparse.Namespace) -> int:
     """Put until the input ends, the count is reached, or Ctrl-C. Return FAILED if the host has refused an item."""
     stopping = threading.Event()
-    interruption.ends(stopping.set, STOP_S)
+    interruption.set_regular_end(stopping.set, STOP_S)
     with channel.producer() as producer, _reporting_cut_off(producer):
         _feed(producer, payload, arguments, stopping)
         refusal = _flushed(producer)

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from stampede_rt.cli.arguments import add_verb, connected, existing, is_glob, parse_count, timeout_seconds
+from stampede_rt.cli.arguments import add_verb, connected, existing_channel, is_glob, parse_count, timeout_seconds
 from stampede_rt.cli.channel_rates import ChannelRates, CounterReading, arranged, jitter_of, rates_of
 from stampede_rt.cli.counter_readings import read_counters
 from stampede_rt.cli.output import bytes_text, print_rows, roughly
@@ -20,7 +20,8 @@ from stampede_rt.values.timeline import NEWEST
 if TYPE_CHECKING:
     from stampede_rt import Channel, Connection
 
-JITTER_ITEMS_MAX = 1000  # the number of items whose times one reading compares
+JITTER_ITEMS_MAX = 1000  # the jitter of a reading is measured on at most this many of the newest items
+JITTER_ITEMS_MIN = 3  # a jitter needs two gaps between items
 
 
 def add_verbs(subparsers: Any) -> None:
@@ -46,15 +47,18 @@ def period_seconds(text: str) -> float:
 
 
 def _samples(channel: Channel, every_s: float, count: int | None) -> Iterator[tuple[ChannelStats, ChannelStats]]:
-    """Yield pairs of counters: earlier counters, and the counters about `every_s` later. Each has the host's time."""
+    """Yield the counters of one channel in pairs: earlier counters, and the counters about `every_s` later.
+
+    `_readings` yields the counters of all channels that match a glob.
+    """
     before = channel.stats()
-    made = 0
-    while count is None or made < count:
+    pairs = 0
+    while count is None or pairs < count:
         time.sleep(every_s)
         after = channel.stats()
         yield before, after
         before = after
-        made += 1
+        pairs += 1
 
 
 def run_hz(arguments: argparse.Namespace) -> int:
@@ -62,11 +66,11 @@ def run_hz(arguments: argparse.Namespace) -> int:
     name = arguments.channel
     with connected(arguments) as rt:
         if not is_glob(name):
-            existing(rt, name)
+            existing_channel(rt, name)
         for before, after in _readings(rt, name, arguments):
             rows = [_hz_row(rt, one, arguments) for one in arranged(rates_of(before, after), "name")]
             if not rows and not is_glob(name):
-                existing(rt, name).stats()  # raises the error: the channel or its host has gone
+                existing_channel(rt, name).stats()  # raises the error: the channel or its host has gone
             if arguments.output != "table":
                 sys.stdout.writelines(json.dumps(row) + "\n" for row in rows)
             elif not is_glob(name):
@@ -83,21 +87,21 @@ def _readings(
 ) -> Iterator[tuple[CounterReading, CounterReading]]:
     """Yield pairs of readings of the hosts' counters, `--every` apart."""
     before = read_counters(rt, glob)
-    made = 0
-    while arguments.count is None or made < arguments.count:
+    pairs = 0
+    while arguments.count is None or pairs < arguments.count:
         time.sleep(arguments.every)
         after = read_counters(rt, glob)
         yield before, after
-        before, made = after, made + 1
+        before, pairs = after, pairs + 1
 
 
 def _hz_row(rt: Connection, rates: ChannelRates, arguments: argparse.Namespace) -> dict[str, Any]:
     return {
         "channel": rates.channel,
         "items_per_second": rates.items,
-        "rejected_per_second": rates.refused,
+        "rejected_per_second": rates.refused,  # `refused` in tables
         "jitter_nanos": _jitter_nanos(rt, rates, arguments.every) if rates.items else None,
-        "lag_nanos": rates.age_nanos,
+        "lag_nanos": rates.age_nanos,  # a channel lags by the age of its newest item
         "held": rates.held,
     }
 
@@ -106,7 +110,8 @@ def _jitter_nanos(rt: Connection, rates: ChannelRates, every_s: float) -> int | 
     """Return the standard deviation of the times between the newest items. The host sends only their times."""
     try:
         items = rt.channel(rates.channel, create=False).get(
-            NEWEST - f"{max(every_s, 3 / rates.items):f}s",
+            # the time between two readings, or longer if the channel gets few items
+            NEWEST - f"{max(every_s, JITTER_ITEMS_MIN / rates.items):f}s",
             NEWEST,
             match="start",
             limit=JITTER_ITEMS_MAX,
@@ -140,7 +145,7 @@ def _hz_cells(row: dict[str, Any]) -> dict[str, Any]:
 def run_bw(arguments: argparse.Namespace) -> int:
     """Print bytes per second."""
     with connected(arguments) as rt:
-        for before, after in _samples(existing(rt, arguments.channel), arguments.every, arguments.count):
+        for before, after in _samples(existing_channel(rt, arguments.channel), arguments.every, arguments.count):
             seconds = (after.host_time - before.host_time) / 1e9
             bytes_in = (after.accepted_bytes - before.accepted_bytes) / seconds
             bytes_out = (after.delivered_bytes - before.delivered_bytes) / seconds

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stampede_rt.cli.arguments import add_summary, add_verb, connected, existing
+from stampede_rt.cli.arguments import add_summary, add_verb, connected, existing_channel
 from stampede_rt.cli.exit_statuses import INCOMPLETE
 from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.interrupts import interruption
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 PARALLEL_RECORDINGS_MAX = 4  # recordings of `--on` at the same time
 STOP_DRAIN_S = 1.0  # the wait, after Ctrl-C, for items that the hosts had accepted before Ctrl-C
-STOP_S = 15.0  # the wait, after Ctrl-C, until the file is finished
+STOP_S = 15.0  # after Ctrl-C the command waits at most this time for the end of the file
 GAPS_SHOWN = 20  # the most gaps of each channel that the command prints
 
 
@@ -55,16 +55,16 @@ def add_verbs(subparsers: Any) -> None:
 
 def run_record(arguments: argparse.Namespace) -> int:
     """Record, and print the summary."""
-    for name in ("since", "for_"):
-        if getattr(arguments, name) != "oldest" or name != "since":
-            duration_of(f"--{name.strip('_')}", getattr(arguments, name), least=0)
+    if arguments.since != "oldest":
+        duration_of("--since", arguments.since, least=0)  # raises for a wrong duration
+    duration_of("--for", arguments.for_, least=0)
     if arguments.on is not None and arguments.for_ is None:
         raise InvalidArgument("--on needs --for, the time after which each file ends, as in --for 10s")
     with connected(arguments) as rt:
         if arguments.on is not None:
             return _EventRecordings(rt, arguments).run()
         recorder = _begin_recording(rt, arguments, Path(arguments.file), _begin_of(arguments.since, NOW))
-        interruption.ends(lambda: recorder.hurry(STOP_DRAIN_S), STOP_S)
+        interruption.set_regular_end(lambda: recorder.hurry(STOP_DRAIN_S), STOP_S)
         with recorder:
             _print_start(recorder, arguments)
             with shown_progress(recording_progress(recorder, arguments.for_)):
@@ -109,17 +109,17 @@ def _print_start(recorder: Recorder, arguments: argparse.Namespace) -> None:
 
 
 def _print_result(summary: RecordingSummary | None, arguments: argparse.Namespace) -> int:
-    assert summary is not None, "the recording has no limit of time here"
+    assert summary is not None, "`wait` without a timeout returns the summary"
     print_summary(summary, arguments.output)
     return 0 if summary.complete else INCOMPLETE
 
 
-def print_summary(summary: RecordingSummary, form: str, *, is_complete: bool | None = None) -> None:
+def print_summary(summary: RecordingSummary, output_format: str, *, is_complete: bool | None = None) -> None:
     """Print the contents of a file, and the missing items.
 
     `is_complete`: whether the file has all items; None: as the summary says.
     """
-    if form != "table":
+    if output_format != "table":
         value = {
             "file": summary.path,
             "complete": summary.complete if is_complete is None else is_complete,
@@ -129,7 +129,7 @@ def print_summary(summary: RecordingSummary, form: str, *, is_complete: bool | N
             "damaged": list(summary.damaged),
             "channels": [one.to_json() for one in summary.channels],
         }
-        print_document(value, form)
+        print_document(value, output_format)
         return
     rows = [_row(one) for one in summary.channels]
     print_rows(rows, "table", none=f"{escaped(summary.path)} has no channels")
@@ -175,7 +175,7 @@ class _EventRecordings:
     def __init__(self, rt: Connection, arguments: argparse.Namespace) -> None:
         self._rt = rt
         self._arguments = arguments
-        self._channel = existing(rt, arguments.on)
+        self._channel = existing_channel(rt, arguments.on)
         self._since = self._channel.stats().host_time  # after a loss of the host, events from this time on count
         self._events = self._channel.subscribe()
         self._paths: set[Path] = set()
@@ -187,7 +187,7 @@ class _EventRecordings:
 
     def run(self) -> int:
         """Record until Ctrl-C. Returns the exit status. Finishes the files also if the events end with an error."""
-        interruption.ends(self._stop, STOP_S)
+        interruption.set_regular_end(self._stop, STOP_S)
         print(f"stampede: each item of {escaped(self._arguments.on)} begins a file, until Ctrl-C", file=sys.stderr)
         try:
             while self._follow():

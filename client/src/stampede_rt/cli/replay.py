@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import add_summary, add_verb, checked, connected, parse_time
 from stampede_rt.cli.exit_statuses import INCOMPLETE
-from stampede_rt.cli.held_items import file_of
+from stampede_rt.cli.held_items import file_with_items_of
 from stampede_rt.cli.interrupts import interruption
 from stampede_rt.cli.output import joined, print_document, print_rows
 from stampede_rt.cli.progress import shown_progress
@@ -19,7 +19,7 @@ from stampede_rt.values.recording import ReplaySummary
 if TYPE_CHECKING:
     from stampede_rt._sync.player import Player
 
-STOP_S = 5.0  # the wait, after Ctrl-C, until the hosts have acknowledged the last items
+STOP_S = 5.0  # after Ctrl-C the command waits at most this time for the hosts to acknowledge the last items
 
 
 def add_verbs(subparsers: Any) -> None:
@@ -38,15 +38,17 @@ def add_verbs(subparsers: Any) -> None:
     replay.add_argument(
         "--speed", type=_speed, default=1.0, metavar="N", help='such as 2 or 0.5; "max" is without pauses; default 1'
     )
-    replay.add_argument("--loop", action="store_true", help="play again and again, until Ctrl-C; needs --shift now")
+    replay.add_argument("--loop", action="store_true", help="play again and again, until Ctrl-C; needs '--shift now'")
     importing = add_verb(subparsers, "import", "put the items of a file into channels", run_import, output=False)
     importing.add_argument("path", metavar="FILE", help="MCAP, rosbag2 (its folder, or a file in it), or XDF")
     importing.add_argument(
         "--as", dest="prefix", default="", metavar="PREFIX", help="the beginning of the names of the channels"
     )
     for verb in (replay, importing):
-        verb.add_argument("--from", dest="start", type=checked(parse_time), metavar="TIME", help="the first time")
-        verb.add_argument("--to", dest="end", type=checked(parse_time), metavar="TIME", help="the end, exclusive")
+        verb.add_argument("--from", dest="start", type=checked(parse_time), metavar="TIME", help="the earliest time")
+        verb.add_argument(
+            "--to", dest="end", type=checked(parse_time), metavar="TIME", help="the end of the times, exclusive"
+        )
         verb.add_argument(
             "--channel", action="append", metavar="GLOB", help="a name, or a glob such as 'rig/*'; may be repeated"
         )
@@ -73,7 +75,7 @@ def _speed(text: str) -> float:
 def run_replay(arguments: argparse.Namespace) -> int:
     """Play a file or channels, and print the numbers of items put. The status is 3 if anything is missing."""
     sources = arguments.sources
-    with file_of(arguments, sources, None, from_start=True) as (path, status), connected(arguments) as rt:
+    with file_with_items_of(arguments, sources, from_start=True) as (path, copy_status), connected(arguments) as rt:
         player = rt.replay_file(
             path,
             arguments.prefix,
@@ -84,7 +86,8 @@ def run_replay(arguments: argparse.Namespace) -> int:
             loop=arguments.loop,
             shift=arguments.shift,
         )
-        return max(status, _played(player, arguments, " ".join(sources)))
+        # Each status is 0 or INCOMPLETE, which is greater.
+        return max(copy_status, _played(player, arguments, " ".join(sources)))
 
 
 def run_import(arguments: argparse.Namespace) -> int:
@@ -102,19 +105,19 @@ def run_import(arguments: argparse.Namespace) -> int:
 
 
 def _played(player: Player, arguments: argparse.Namespace, source: str) -> int:
-    interruption.ends(player.stop, STOP_S)
+    interruption.set_regular_end(player.stop, STOP_S)
     names = player.channels
     shown = escaped(joined(names)) if len(names) <= 5 else f"{len(names)} channels"
     print(f"stampede: putting {escaped(source)} into {shown}", file=sys.stderr)
     with shown_progress(lambda: (player.done_share, f"{player.accepted} items put")):
         summary = player.wait()
-    assert summary is not None, "the replay has no limit of time here"
+    assert summary is not None, "`wait` without a timeout returns the summary"
     _print(summary, source, arguments.output)
     return 0 if summary.complete else INCOMPLETE
 
 
-def _print(summary: ReplaySummary, source: str, form: str) -> None:
-    if form != "table":
+def _print(summary: ReplaySummary, source: str, output_format: str) -> None:
+    if output_format != "table":
         value = {
             "file": source,
             "complete": summary.complete,
@@ -127,7 +130,7 @@ def _print(summary: ReplaySummary, source: str, form: str) -> None:
             "gaps": [gap.to_json() for gap in summary.gaps],
             "damaged": list(summary.damaged),
         }
-        print_document(value, form)
+        print_document(value, output_format)
         return
     rows = [{"channel": name, "items": items} for name, items in sorted(summary.items.items())]
     print_rows(rows, "table", none="no channels")
@@ -138,6 +141,6 @@ def _print(summary: ReplaySummary, source: str, form: str) -> None:
     for text in summary.damaged:
         print(f"missing in the file: {escaped(text)}")
     for name, count in sorted(summary.collected.items()):
-        print(f"missing: the limits of channel {escaped(name)} have collected {count} items; change its policy")
+        print(f"missing: channel {escaped(name)} has removed {count} items, as its policy demands; change the policy")
     if summary.first_refusal:
         print(f"refused: {summary.refused} items and advances; the first: {escaped(summary.first_refusal)}")

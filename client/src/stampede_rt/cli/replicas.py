@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from stampede_rt.cli.arguments import add_verb, connected, existing
+from stampede_rt.cli.arguments import add_verb, connected, existing_channel
 from stampede_rt.cli.output import print_rows
 from stampede_rt.values.proxying import CopyStats
 from stampede_rt.values.queueing import QueueStats
@@ -28,7 +28,11 @@ def run(arguments: argparse.Namespace) -> int:
     """List the replicas of a channel or queue."""
     name = arguments.channel
     with connected(arguments) as rt:
-        copies = rt.queue(name, create=False).stats().replicas if arguments.queue else existing(rt, name).stats().copies
+        copies = (
+            rt.queue(name, create=False).stats().replicas
+            if arguments.queue
+            else existing_channel(rt, name).stats().copies
+        )
         rows = replica_rows(rt, copies)
     if arguments.output == "table":
         rows = [_for_people(row) for row in rows]
@@ -45,10 +49,10 @@ def replicas_text(wanted: int, rows: list[dict[str, Any]], *, behind: str = "ite
     return f"{sum(one['in_sync'] for one in rows)} of {wanted} in sync" + (f": {', '.join(shown)}" if shown else "")
 
 
-def queue_replicas(rt: Connection, stats: QueueStats, form: str) -> str | list[dict[str, Any]]:
+def queue_replicas(rt: Connection, stats: QueueStats, output_format: str) -> str | list[dict[str, Any]]:
     """Return the replicas of a queue, as a text for people or as rows for JSON."""
     rows, wanted = replica_rows(rt, stats.replicas), stats.policy.replicas
-    if form != "table":
+    if output_format != "table":
         return rows
     return replicas_text(wanted, rows, behind="changes") if wanted else "none"
 

@@ -147,14 +147,14 @@ def _ping(cluster: Cluster, record: SupernodeRecord) -> tuple[Any, int | None]:
 
 
 def _row(
-    record: SupernodeRecord, pong: Any, nanos: int | None, refused: Mapping[str, str], own_id: str, form: str
+    record: SupernodeRecord, pong: Any, nanos: int | None, refused: Mapping[str, str], own_id: str, output_format: str
 ) -> dict[str, Any]:
     why = refused.get(record.supernode_id)
     return {
         "supernode": record.supernode_id,
         "address": record.endpoint.target,
         "state": refusal(why)[0] if why else _state(record, pong, own_id),
-        "round_trip": format_duration(nanos) if nanos is not None and form == "table" else nanos,
+        "round_trip": format_duration(nanos) if nanos is not None and output_format == "table" else nanos,
         "version": pong.version if pong is not None else None,
         "highest_feature_level": _highest_level(record, pong),
     }

@@ -27,13 +27,16 @@ if TYPE_CHECKING:
 
 KEYS = "q quit   s sort   p pause   / filter   Esc clear the filter"
 _ENTER, _ESCAPE, _ERASE = "\r\n", "\x1b", "\x7f\b"
+LINES_BESIDE_ROWS = 5  # the title, the heads of the columns, the keys, and two lines in case one of these wraps
 
 
 def add_verbs(subparsers: Any) -> None:
     """Add the verb of this module."""
     verb = add_verb(subparsers, "top", "show the busiest channels, live, until q or Ctrl-C", run_top)
     verb.add_argument("glob", nargs="?", default="*", metavar="GLOB", help='names, such as "cam/*"')
-    verb.add_argument("--sort", choices=SORTS, default="bytes", help="the column to sort by; default bytes, in and out")
+    verb.add_argument(
+        "--sort", choices=SORTS, default="bytes", help="the column to sort by; default bytes (in plus out)"
+    )
     verb.add_argument(
         "--every", type=period_seconds, default=1.0, metavar="SECONDS", help="refresh this often; default 1"
     )
@@ -104,12 +107,12 @@ def _show(rt: Connection, arguments: argparse.Namespace) -> None:
         def redraw() -> None:
             live.update(_table(readings[0], readings[1], view, console), refresh=True)
 
-        made = 0
-        while not view.is_over and (arguments.count is None or made < arguments.count):
+        refreshes = 0
+        while not view.is_over and (arguments.count is None or refreshes < arguments.count):
             _wait(read_key, view, arguments.every, redraw)
             if not view.is_paused:
                 readings[:] = readings[1], read_counters(rt, arguments.glob)
-            made += 1
+            refreshes += 1
             redraw()
 
 
@@ -148,7 +151,7 @@ def _table(before: CounterReading, after: CounterReading, view: TopView, console
     from rich.text import Text
 
     rows = arranged(rates_of(before, after), view.sort, view.filter)
-    shown = rows[: max(1, console.size.height - 5)]
+    shown = rows[: max(1, console.size.height - LINES_BESIDE_ROWS)]
     state = f"sorted by {view.sort}{', paused' if view.is_paused else ''}"
     filtered = f"   filter: {view.filter}{'_' if view.is_typing else ''}" if view.filter or view.is_typing else ""
     table = Table(

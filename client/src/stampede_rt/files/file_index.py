@@ -33,7 +33,7 @@ class FileIndex:
     places: dict[int, ChunkIndex] = field(default_factory=dict)  # the chunks by their first bytes
 
 
-def states_no_index(records: RecordFile) -> bool:
+def says_no_index(records: RecordFile) -> bool:
     """Whether the end of a file says that the file has no index. Then the end of the data is just before the footer."""
     footer = _footer(records)
     before = None if footer is None else records.frame_at(footer.offset - _DATA_END_BYTES)
@@ -128,10 +128,11 @@ class ContentCounts:
         else:
             self._metadata += 1
 
-    def differences(self, index: FileIndex | None, *, foreign_only: bool) -> list[str]:
+    def differences(self, index: FileIndex | None, *, skip_own_channels: bool) -> list[str]:
         """Return where the file disagrees with its index, as texts.
 
-        `foreign_only`: leave out the messages of channels of Stampede RT, whose counts the summary has.
+        `skip_own_channels`: leave out the messages of channels of Stampede RT, because the caller compares their counts
+        with the recorder's summary.
         """
         if index is None:
             return []
@@ -143,7 +144,7 @@ class ContentCounts:
         for number in sorted(stated.channel_message_counts.keys() | self._messages.keys()):
             topic = index.topics.get(number)
             is_own = topic is not None and (topic.incarnation is not None or topic.name == FACTS_TOPIC)
-            if topic is not None and not (foreign_only and is_own):
+            if topic is not None and not (skip_own_channels and is_own):
                 stated_count = stated.channel_message_counts.get(number, 0)
                 wrong += _difference(f"messages of topic {topic.name!r}", stated_count, self._messages[number])
         wrong += _difference("attachments", stated.attachment_count, self._attachments)

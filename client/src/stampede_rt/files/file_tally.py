@@ -180,7 +180,7 @@ class FileTally:
         return sorted({key[0] for key, counts in self._counts.items() if counts.has_fallen})
 
     @property
-    def has_own(self) -> bool:
+    def has_own_channels(self) -> bool:
         """Whether the file has a channel of Stampede RT, and not only topics of other programs."""
         return any(key[1] is not None for key in self._counts)
 
@@ -215,7 +215,7 @@ def _lost_at_most(seq: int, stated: RecordedCounts) -> int:
     return min(found, max(0, stated.recorded - 1))
 
 
-def recorded_between(gap: RecordingGap, stated: RecordedCounts) -> int:
+def recorded_in_gap(gap: RecordingGap, stated: RecordedCounts) -> int:
     """Return the number of items that the recorder had written with the seqs of a gap of damage; 0 for another gap.
 
     `stated`: the recorder's counts of the channel. The number is too great if the recorder did not name the other seqs.

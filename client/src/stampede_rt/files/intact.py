@@ -39,7 +39,7 @@ def intact_contents(reader: FileReader) -> Iterator[ChunkContent | Attachment | 
     missing, and at the end if the contents do not agree with the index or with the checksum of the file.
     """
     counts = ContentCounts()
-    if reader.index is None and not reader.states_no_index:
+    if reader.index is None and not reader.says_no_index:
         raise _without_end(reader)
     for part in reader.contents():
         if isinstance(part, Damage):
@@ -53,7 +53,7 @@ def intact_contents(reader: FileReader) -> Iterator[ChunkContent | Attachment | 
                 raise _without_end(reader)  # a recording has an index
         counts.add(part)
         yield part
-    wrong = counts.differences(reader.index, foreign_only=False)
+    wrong = counts.differences(reader.index, skip_own_channels=False)
     if not reader.data_is_whole:
         wrong.append("its bytes do not have the checksum that it states")
     if wrong:

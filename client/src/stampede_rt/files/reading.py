@@ -17,7 +17,7 @@ from stampede_rt.errors import FileError
 from stampede_rt.files.chunk_content import ChunkContent, IncarnationKey
 from stampede_rt.files.data_sum import DataSum
 from stampede_rt.files.entries import FACTS_TOPIC, FileEntry, ReadFacts, Schema, Topic, content_type_of_encoding
-from stampede_rt.files.file_index import FileIndex, is_indexed, read_index, states_no_index, topic_of
+from stampede_rt.files.file_index import FileIndex, is_indexed, read_index, says_no_index, topic_of
 from stampede_rt.files.framing import MAGIC, Damage, RecordFile, RecordFrame
 from stampede_rt.files.indexed_frames import has_records_beside, indexed_frames
 from stampede_rt.files.named_by_facts import facts_topic, is_facts, topics_of
@@ -43,7 +43,7 @@ class FileReader:
         self.library = ""
         self._index: FileIndex | None = None
         self._looked = False
-        self.states_no_index = False  # whether the end of the file says that it has no index; known after `index`
+        self.says_no_index = False  # whether the end of the file says that it has no index; known after `index`
         # Whether the bytes before the index have the stated checksum, if there is one; known after `contents`.
         self.data_is_whole = True
         self._has_chunks = False  # whether this reader has found a chunk so far
@@ -64,7 +64,7 @@ class FileReader:
         if not self._looked:
             self._looked = True
             try:
-                self.states_no_index = states_no_index(self._records)
+                self.says_no_index = says_no_index(self._records)
                 self._index = read_index(self._records)
             except FileError:  # a damaged index counts as a missing one
                 self._index = None

@@ -31,7 +31,7 @@ class McapSource:
         index = self._reader.index
         if index is None or not index.chunks or not _names_messages(index) or not self._reader.indexes_all():
             self._reader.__exit__()
-            raise _unplayable(self.path, index, self._reader.states_no_index)
+            raise _unplayable(self.path, index, self._reader.says_no_index)
         self._damaged = _damaged(self._reader)
         self._chunks = sorted(index.chunks, key=lambda one: one.chunk_start_offset)
         self._index = index
@@ -245,10 +245,10 @@ def _names_messages(index: FileIndex) -> bool:
     )
 
 
-def _unplayable(path: str, index: FileIndex | None, states_no_index: bool) -> FileError:
+def _unplayable(path: str, index: FileIndex | None, says_no_index: bool) -> FileError:
     if index is not None and index.statistics is not None and not index.statistics.message_count:
         return FileError(f"the file {path!r} cannot be played: it has no items")
-    if index is None and not states_no_index:
+    if index is None and not says_no_index:
         return FileError(
             f"the file {path!r} cannot be played: its end is missing or damaged, so it may lack items; "
             "`stampede file recover` saves the readable part"

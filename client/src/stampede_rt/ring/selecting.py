@@ -13,7 +13,15 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from stampede_rt.ring.facts import age_bound, surely_held
-from stampede_rt.ring.layout import ABSENT_INSTANT, ADVANCED_TO, GONE_BEFORE, HEAD, NEWEST_SLOT, NEWEST_TIME, RECORDED
+from stampede_rt.ring.layout import (
+    ABSENT_INSTANT,
+    GONE_BEFORE,
+    HEAD,
+    LATEST_ADVANCE,
+    NEWEST_SLOT,
+    NEWEST_TIME,
+    RECORDED,
+)
 from stampede_rt.ring.ring_view import RingView, Slot
 from stampede_rt.values.answers import ABSENT
 from stampede_rt.values.reading import ReadQuery
@@ -151,7 +159,7 @@ def _answer(
         return None
     if more:
         picks = picks[1:] if query.newest_first else picks[:-1]
-    complete = max(facts[NEWEST_TIME], facts[ADVANCED_TO]) >= within.end + (not within.end_exclusive)
+    complete = max(facts[NEWEST_TIME], facts[LATEST_ADVANCE]) >= within.end + (not within.end_exclusive)
     pieces = found.pieces(picks)
     if pieces is None or (query.complete and not complete):
         return None

@@ -17,12 +17,12 @@ from stampede_rt.values.timeline import DurationLike, parse_duration
 MEMBERS_MAX = 64
 """The greatest number of channels in a group."""
 GroupBound = Literal["start", "end"]
-"""The cut of a channel: the time of its newest item, or the end of that item's duration."""
+"""One item moves the cut of its channel to the time of the item ("start"), or to the end of its duration ("end")."""
 Over = Literal["start", "span"]
-"""A cross-section at the time of an item, or over the whole span of the item."""
+"""A cross-section has the items at the time of the reference's item ("start"), or over its whole span ("span")."""
 BOUNDS: tuple[GroupBound, ...] = get_args(GroupBound)
-OLDEST_REFERENCE = "oldest"  # the argument for a group without a reference channel
-MAX_LEAD_DEFAULT = "5s"  # see `Connection.group`
+OLDEST_REFERENCE = "oldest"  # `reference` of a group whose cut is the smallest cut of its members
+MAX_LEAD_DEFAULT = "5s"  # the default of `max_lead`: how far after its time an item moves the cut at most
 
 Value = TypeVar("Value")
 
@@ -75,7 +75,7 @@ class ByChannel(Mapping[Key, Value], Generic[Key, Value]):
         return len(self._channels)
 
     def with_handles(self, channels: Sequence[OtherKey]) -> ByChannel[OtherKey, Value]:
-        """Return the same values with other handles of their channels as keys. Each channel needs such a handle."""
+        """Return the same values with other handles as keys. `channels` has a handle for each channel with a value."""
         handles = {one.info.channel_id: one for one in channels}
         return ByChannel([handles[one.info.channel_id] for one in self._channels], self._values)
 
@@ -101,23 +101,27 @@ class Matched(ByChannel[Key, Item]):
 class NewestItems(ByChannel[Key, Item | None]):
     """The newest visible item of each channel, or None. `reasons[channel]` says why a channel has no such item.
 
-    With `as_of` a channel with an item may have a reason, too: a later item may have been visible then, and is missing.
+    If the read has `as_of`, a channel with an item may have a reason, too: at that instant a later item may have been
+    visible, and the archive may lack it.
     """
 
     def __init__(self, channels: Sequence[Key], answers: Mapping[bytes, Items], reason: Reason | None = None) -> None:
-        """`answers`: for each channel an answer that has the newest item first. `reason`: see `PastCut`."""
+        """`answers`: for each channel an answer, newest item first. `reason`: why an earlier cut may be too low."""
         super().__init__(channels, {one: (items[0] if items else None) for one, items in answers.items()})
-        reasons_by_member = {one: items.reason for one, items in answers.items() if reason is not None or not items}
-        reasons = {one: reason for one, reason in reasons_by_member.items() if reason is not None}
+        reasons: dict[bytes, Reason] = {}
+        for channel_id, items in answers.items():
+            # An answer with an item matters here only if the earlier cut is uncertain.
+            if items.reason is not None and (reason is not None or not items):
+                reasons[channel_id] = items.reason
         self.reasons: ByChannel[Key, Reason] = ByChannel(channels, reasons)
 
     def with_handles(self, channels: Sequence[OtherKey]) -> NewestItems[OtherKey]:
         """See `ByChannel.with_handles`."""
-        found = NewestItems(channels, {})
-        shown = super().with_handles(channels)
-        found._channels, found._values = shown._channels, shown._values
-        found.reasons = self.reasons.with_handles(channels)
-        return found
+        by_handle = super().with_handles(channels)
+        newest = NewestItems(channels, {})  # the answers are gone, so this copies their items and reasons
+        newest._channels, newest._values = by_handle._channels, by_handle._values
+        newest.reasons = self.reasons.with_handles(channels)
+        return newest
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -279,7 +283,7 @@ def parse_tolerance(tolerance: DurationLike) -> int:
     nanos = parse_duration(tolerance, "tolerance")
     if nanos < 0:
         raise InvalidArgument(
-            f'tolerance is {tolerance!r}; it is the greatest distance of two times: give "0s" or more'
+            f'tolerance is {tolerance!r}; it is the greatest time between two matched items: give "0s" or more'
         )
     return nanos
 

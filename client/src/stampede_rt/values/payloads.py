@@ -1,4 +1,4 @@
-"""Checks of the payloads and attributes that callers give. Pure."""
+"""Checks of the payloads and attributes that callers give. This module does no I/O."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ def check_payload(payload: object) -> bytes:
 
 def _copied(payload: object) -> bytes:
     if not isinstance(payload, bytes | bytearray | memoryview):
-        raise InvalidArgument(f"the payload is a {type(payload).__name__}; {_instead(payload)}")
+        raise InvalidArgument(f"the payload is a {type(payload).__name__}; {_advice(payload)}")
     return bytes(payload)
 
 
-def _instead(payload: object) -> str:
+def _advice(payload: object) -> str:
     """Return the part of an error text that says what to give instead of `payload`."""
     if isinstance(payload, str):
         return 'give text.encode(), or open the channel or queue with codec="json"'
@@ -54,16 +54,17 @@ def copied_attributes(attributes: Mapping[str, str] | None) -> dict[str, str] | 
 
     Reads the mapping once. Raises InvalidArgument unless the copy has only text, and at most ATTRIBUTES_BYTES_MAX.
     """
-    if not isinstance(attributes, Mapping):
-        check_attributes(attributes)
+    if attributes is None:
         return None
+    if not isinstance(attributes, Mapping):
+        check_attributes(attributes)  # raises
     copy = dict(attributes)
     check_attributes(copy)
     length_bytes = sum(len(key.encode()) + len(value.encode()) for key, value in copy.items())
     if length_bytes > ATTRIBUTES_BYTES_MAX:
         raise InvalidArgument(
-            f"the attributes have {length_bytes} bytes in all, of at most {ATTRIBUTES_BYTES_MAX}; put large data into "
-            "the payload"
+            f"the attributes have {length_bytes} bytes in all; one item has at most {ATTRIBUTES_BYTES_MAX}: put large "
+            "data into the payload"
         )
     return copy or None
 

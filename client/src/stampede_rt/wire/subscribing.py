@@ -17,10 +17,7 @@ def beginning(start: Bound | None, mode: SubscribeMode, after: Item | None) -> c
     if mode not in _MODES:
         raise InvalidArgument(f'mode is {mode!r}; write "all" or "newest"')
     if start is not None and after is not None:
-        raise InvalidArgument(
-            "start and after exclude each other: start begins a subscription, and after resumes one; "
-            "give only one of them"
-        )
+        raise InvalidArgument("start and after exclude each other; give start to begin, or after to resume")
     if after is not None and not isinstance(after, Item):
         raise InvalidArgument(f"after is {after!r}; give the last Item received, or use start for a time")
     opening = channel_pb.SubscribeOpen(mode=_MODES[mode])

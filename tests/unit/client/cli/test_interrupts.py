@@ -58,7 +58,7 @@ def test_work_that_waits_for_a_lock_for_ever_ends_with_ctrl_c() -> None:
 def test_a_connection_that_does_not_close_ends_with_ctrl_c() -> None:
     program = """
     def work():
-        interrupts.interruption.closes(threading.Event().wait)
+        interrupts.interruption.add_close(threading.Event().wait)
         ctrl_c_and_wait()
         return 0
 
@@ -73,7 +73,7 @@ def test_ctrl_c_closes_the_connections_and_waits_for_the_work() -> None:
     closed = threading.Event()
 
     def work():
-        interrupts.interruption.closes(closed.set)
+        interrupts.interruption.add_close(closed.set)
         ctrl_c_and_wait()
         closed.wait()
         print("unwound", flush=True)
@@ -88,7 +88,7 @@ def test_ctrl_c_closes_the_connections_and_waits_for_the_work() -> None:
 def test_a_second_ctrl_c_ends_the_work_immediately() -> None:
     program = f"""
     def work():
-        interrupts.interruption.closes(ctrl_c)
+        interrupts.interruption.add_close(ctrl_c)
         ctrl_c_and_wait()
         threading.Event().wait()
 
@@ -114,7 +114,7 @@ def test_sigterm_is_the_regular_end_of_work_also_if_ctrl_c_is_ignored() -> None:
     program = """
     def work():
         stopped = threading.Event()
-        interrupts.interruption.ends(stopped.set, 1000)
+        interrupts.interruption.set_regular_end(stopped.set, 1000)
         os.kill(os.getpid(), signal.SIGTERM)
         stopped.wait()
         return 3
@@ -190,7 +190,7 @@ def test_a_connection_that_opens_after_ctrl_c_is_closed_immediately_so_the_comma
     def work():
         ctrl_c_and_wait()
         closed = threading.Event()
-        interrupts.interruption.closes(closed.set)
+        interrupts.interruption.add_close(closed.set)
         print("closed" if closed.is_set() else "goes on")
         return 0
 
@@ -202,10 +202,10 @@ def test_a_connection_that_opens_after_ctrl_c_is_closed_immediately_so_the_comma
 def test_a_connection_that_opens_after_the_regular_end_was_asked_for_stays_open() -> None:
     program = """
     def work():
-        interrupts.interruption.ends(lambda: None, 10)
+        interrupts.interruption.set_regular_end(lambda: None, 10)
         ctrl_c_and_wait()
         closed = threading.Event()
-        interrupts.interruption.closes(closed.set)
+        interrupts.interruption.add_close(closed.set)
         print("closed" if closed.is_set() else "goes on")
         return 3
 

@@ -19,7 +19,7 @@ PRELUDE = """
     def run(work, regular=True):
         def begin():
             if regular:
-                interrupts.interruption.ends(lambda: None, 1e9)
+                interrupts.interruption.set_regular_end(lambda: None, 1e9)
             return work()
         sys.exit(interrupts.run_interruptibly(begin))
 

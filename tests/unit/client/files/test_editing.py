@@ -132,7 +132,8 @@ def test_a_torn_file_is_never_complete(whole: Path, tmp_path: Path) -> None:
     torn.write_bytes(whole.read_bytes()[:40])
     assert not verify(torn).complete
     assert verify(torn).summary.damaged == (
-        f"32 bytes of the file {str(torn)!r} were damaged, so items of channels that it does not name may be missing",
+        f"32 bytes of the file {str(torn)!r} were damaged, so items of channels that the file does not name may be "
+        "missing",
     )
 
 
@@ -233,7 +234,7 @@ def test_a_file_whose_writer_writes_no_index_can_be_cut_and_merged(tmp_path: Pat
         writer.add_message(number, START, b"{}", START)
         writer.finish()
     with FileReader(path) as reader:
-        assert (reader.index, reader.states_no_index) == (None, True)
+        assert (reader.index, reader.says_no_index) == (None, True)
     assert merge([path], output).recorded == 1
     assert cut(path, output, start=START, end=START + 1, overwrite=True).recorded == 1
 

@@ -81,7 +81,7 @@ def test_a_file_recovered_from_a_torn_file_reports_each_damaged_chunk(
             assert stampede(["file", verb, str(saved)]) == (3 if verb == "verify" else 0)
             printed = capsys.readouterr().out
             assert "cam: an unknown number of items" in printed
-            assert "so items of channels that it does not name may be missing" in printed
+            assert "so items of channels that the file does not name may be missing" in printed
 
 
 def test_the_parts_of_a_recovered_file_also_report_its_damage(whole: Path, tmp_path: Path) -> None:
@@ -125,7 +125,7 @@ def test_items_that_only_the_summary_knows_are_named(whole: Path, tmp_path: Path
     (tmp_path / "shorter.mcap").write_bytes(content[: chunks[0][0]] + content[chunks[0][1] :])
     recover(tmp_path / "shorter.mcap", tmp_path / "saved.mcap")
     assert verify(tmp_path / "saved.mcap").summary.damaged == tuple(
-        f"{count} items of channel {channel}, which the summary of the file names"
+        f"{count} items of channel {channel} are missing, which the summary of the file counts"
         for channel, count in (("cam", 5), ("imu", 4), ("once", 1))
     )
 

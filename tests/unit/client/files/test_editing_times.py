@@ -63,7 +63,7 @@ def test_a_gap_of_damage_does_not_hide_items_of_a_chunk_that_is_gone(tmp_path: P
     content[middle(chunks[3])] ^= 4
     path.write_bytes(content[: chunks[1][0]] + content[chunks[1][1] :])
     assert recover(path, tmp_path / "saved.mcap").summary.damaged == (
-        "4 items of channel cam, which the summary of the file names",
+        "4 items of channel cam are missing, which the summary of the file counts",
     )
 
 
@@ -76,6 +76,6 @@ def test_a_file_whose_index_and_summary_are_damaged_may_lack_items(tmp_path: Pat
     path.write_bytes(content[: chunks[1][0]] + content[chunks[1][1] :])
     summary = recover(path, tmp_path / "saved.mcap").summary
     assert summary.damaged == (
-        f"the summary of the file {str(path)!r} cannot be read, so it may lack items without a gap",
+        f"the summary of the file {str(path)!r} cannot be read, so the file may lack items that no gap names",
     )
     assert not verify(tmp_path / "saved.mcap").complete

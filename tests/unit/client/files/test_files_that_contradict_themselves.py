@@ -111,7 +111,7 @@ def test_a_recovered_file_of_another_recording_says_that_its_index_was_lost(tmp_
     content = path.read_bytes()
     path.write_bytes(content[: chunks[1].offset] + content[chunks[1].end :])
     assert recover(path, tmp_path / "saved.mcap").summary.damaged == (
-        f"the index of the file {str(path)!r} cannot be read, so it may lack items without a gap",
+        f"the index of the file {str(path)!r} cannot be read, so the file may lack items that no gap names",
     )
 
 
