@@ -55,6 +55,22 @@ def test_programs_read_and_write_json(stampede: Run) -> None:
     assert (facts["consumed"], facts["held"], facts["oldest_age"], facts["rejected"]["full"]) == (1, 0, None, 0)
 
 
+def test_the_policy_of_a_queue_in_use_is_changed(stampede: Run) -> None:
+    stampede("queue", "put", "cli/jobs-dead", "x")
+    stampede("queue", "put", "cli/changed", "x", "--max-items", "5")
+    changed, _ = stampede("queue", "configure", "cli/changed", "--lease", "2m", "--dead-letter", "cli/jobs-dead")
+    assert "5 items, lease 2 m, dead letters to cli/jobs-dead" in changed
+    printed, _ = stampede("queue", "configure", "cli/changed", "--max-deliveries", "3", "-o", "json")
+    facts = json.loads(printed)
+    assert facts["queue"] == "cli/changed"
+    assert "3 deliveries" in facts["policy"]
+    assert facts["policy"] in stampede("queue", "info", "cli/changed")[0]
+    _, why = stampede("queue", "configure", "cli/changed", status=2)
+    assert "state at least one setting" in why
+    _, why = stampede("queue", "configure", "cli/absent", "--lease", "2m", status=1)
+    assert "there is no queue cli/absent" in why
+
+
 def test_standard_input_is_put_and_payloads_are_printed_raw(
     cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch, capfdbinary: pytest.CaptureFixture[bytes]
 ) -> None:

@@ -167,6 +167,7 @@ EVERY: dict[str, Words] = {
     "queue put": lambda s: ["queue", "put", s.name("queue"), "x"],
     "queue get": lambda s: ["queue", "get", s.name("dead"), "--keep", "--timeout", "20s"],
     "queue pending": lambda s: ["queue", "pending", s.name("queue")],
+    "queue configure": lambda s: ["queue", "configure", s.name("queue"), "--max-items", "9000"],
     "queue delete": lambda s: ["queue", "delete", s.name("gone")],
     "peers": lambda s: ["peers", s.peer],
     "mailbox send": lambda s: ["mailbox", "send", s.peer, "x"],

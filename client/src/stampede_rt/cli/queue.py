@@ -27,7 +27,7 @@ from stampede_rt.cli.messages import (
 from stampede_rt.cli.output import bytes_text, print_done, print_facts, print_rows, replication_text
 from stampede_rt.cli.replicas import queue_replicas
 from stampede_rt.cli.verb_parser import VerbParser
-from stampede_rt.errors import QueueNotFound
+from stampede_rt.errors import InvalidArgument, QueueNotFound
 from stampede_rt.values.queueing import LEASE_NANOS_DEFAULT, ON_FULL
 from stampede_rt.values.timeline import format_duration
 
@@ -74,6 +74,9 @@ def add_verbs(subparsers: Any) -> None:
     pending = add_verb(verbs, "pending", "list the leased messages and their takers", run_pending)
     pending.add_argument("queue", help="the queue's name")
     add_pending(pending)
+    configure = add_verb(verbs, "configure", "change a queue's policy, while it is in use", run_configure)
+    configure.add_argument("queue", help="the queue's name")
+    _add_policy(configure)
     delete = add_verb(verbs, "delete", "delete a queue with its messages", run_delete)
     delete.add_argument("queue", help="the queue's name")
 
@@ -99,6 +102,10 @@ def _add_policy(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="with --ack replica, the queue pauses while fewer than N replicas are in sync",
     )
+
+
+def _policy_of(arguments: argparse.Namespace) -> dict[str, Any]:
+    return {name: getattr(arguments, name) for name in POLICY_OPTIONS}
 
 
 def _existing(rt: Connection, name: str) -> Queue:
@@ -181,11 +188,23 @@ def run_put(arguments: argparse.Namespace) -> int:
     """Put one message, and print its queue and seq."""
     payload = payload_of(arguments)
     with connected(arguments) as rt:
-        queue = rt.queue(arguments.queue, **{name: getattr(arguments, name) for name in POLICY_OPTIONS})
+        queue = rt.queue(arguments.queue, **_policy_of(arguments))
         sent = queue.put(
             payload, arguments.timeout, attributes=dict(arguments.attribute or ()), message_id=arguments.message_id
         )
     print_sent({"queue": arguments.queue}, sent, arguments.output)
+    return 0
+
+
+def run_configure(arguments: argparse.Namespace) -> int:
+    """Change the stated settings, and print the policy after the change."""
+    stated = _policy_of(arguments)
+    if all(value is None for value in stated.values()):
+        raise InvalidArgument("state at least one setting, such as --lease 30s; see stampede queue configure --help")
+    with connected(arguments) as rt:
+        policy = _existing(rt, arguments.queue).configure(**stated)
+        names = _names(rt) if policy.dead_letter_queue_id else {}
+    print_facts({"queue": arguments.queue, "policy": policy_text(policy, names)}, arguments.output)
     return 0
 
 

@@ -150,6 +150,7 @@ _shtab_stampede_proxy_commands() {
 
 _shtab_stampede_queue_commands() {
   local _commands=(
+    configure:'change a queue'"'"'s policy, while it is in use'
     delete:'delete a queue with its messages'
     get:'take messages, print and acknowledge them'
     info:'print a queue'"'"'s policy and counters'
@@ -1132,6 +1133,27 @@ _shtab_stampede_queue_options=(
 # guard to ensure default positional specs are added only once per session
 _shtab_stampede_queue_defaults_added=0
 
+_shtab_stampede_queue_configure_options=(
+  "(- : *)"{-h,--help}"[show this help message and exit]"
+  "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
+  "--local[print instants as local time\; default\: UTC]"
+  "--max-items[hold at most N messages]:N:"
+  "--max-bytes[hold at most N bytes]:N:"
+  "--copies[each message goes to K distinct takers]:K:"
+  "--on-full[what the host does with a put into a full queue]:on_full:(block reject drop_oldest)"
+  "--lease[the time that a taker has to acknowledge, such as \"30s\"]:DURATION:"
+  "--max-deliveries[a message leaves the queue after N deliveries]:N:"
+  "--dead-letter[the queue for messages that leave after --max-deliveries]:QUEUE:"
+  "--replicas[copies that can take over if the host is lost]:N:"
+  "--ack[when the host acknowledges a put]:ack:(host replica)"
+  "--min-replicas[with --ack replica, the queue pauses while fewer than N replicas are in sync]:N:"
+  ":the queue\'s name:"
+)
+
+# guard to ensure default positional specs are added only once per session
+_shtab_stampede_queue_configure_defaults_added=0
+
 _shtab_stampede_queue_delete_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
@@ -1870,6 +1892,7 @@ _shtab_stampede_queue() {
       (( CURRENT += 1 ))
       curcontext="${curcontext%:*:*}:_shtab_stampede_queue-$line[1]:"
       case $line[1] in
+        configure) _arguments -C -s $_shtab_stampede_queue_configure_options ;;
         delete) _arguments -C -s $_shtab_stampede_queue_delete_options ;;
         get) _arguments -C -s $_shtab_stampede_queue_get_options ;;
         info) _arguments -C -s $_shtab_stampede_queue_info_options ;;
