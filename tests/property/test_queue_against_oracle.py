@@ -6,11 +6,13 @@
 from __future__ import annotations
 
 import os
+from unittest.mock import patch
 
 import pytest
 from hypothesis import HealthCheck, given, note, settings
 from hypothesis import strategies as st
 
+from stampede_rt_channel_host.core.queue import queue_snapshot
 from tests.oracle.queue import Setup
 from tests.property.queue_pair import QueuePair, Verdict
 from tests.property.random_source import RandomSource
@@ -100,6 +102,10 @@ def configure(rng: RandomSource, pair: QueuePair) -> None:
     pair.configure(rng.pick(SETUPS))
 
 
+def copy(rng: RandomSource, pair: QueuePair) -> None:
+    pair.copy()
+
+
 def hand_over(rng: RandomSource, pair: QueuePair) -> None:
     pair.hand_over()
 
@@ -113,6 +119,7 @@ STEPS_OF_ONE_OWNER = (
     configure, enqueue, settle, attach, sent,
 )  # fmt: skip
 STEPS = (*STEPS_OF_ONE_OWNER, hand_over)
+STEPS_WITH_COPIES = (*STEPS, copy, copy)
 
 
 def play(numbers: list[int]) -> None:
@@ -120,9 +127,10 @@ def play(numbers: list[int]) -> None:
     pair = QueuePair(RandomSource(numbers[0]).pick(SETUPS), FIRST_CLOCK)
     for number in numbers[1:]:
         rng = RandomSource(number)
-        step = rng.pick(STEPS)
+        step = rng.pick(STEPS_WITH_COPIES)
         note(step.__name__)
-        step(rng, pair)
+        with patch.object(queue_snapshot, "MESSAGES_PER_PIECE", 2):
+            step(rng, pair)
 
 
 @pytest.mark.timeout(0 if EXAMPLES > 5000 else 240)
