@@ -30,6 +30,7 @@ from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.copies.replica_directory import ListedReplica, ListedReplicas, ReplicaDirectory
 from stampede_rt_channel_host.core.replication import ReplicaState
+from stampede_rt_runtime.error_frames import drop_frames, failure_of
 
 logger = logging.getLogger(__name__)
 
@@ -249,9 +250,11 @@ class KeeperTasks:
 
 
 def _log_defect(task: asyncio.Task[None]) -> None:
-    if not task.cancelled() and (failure := task.exception()) is not None:
+    failure = failure_of(task)  # also drops the frames of a cancelled task, which keep the task, and a whole queue
+    if failure is not None:
         extra = {"event": "task_defect", "task": task.get_name()}
         logger.error("the keeper of replicas has ended with a defect", exc_info=failure, extra=extra)
+        drop_frames(failure)
 
 
 class ReplicaKeeper(KeeperTasks):
