@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 import itertools
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import pytest
 
 import stampede_rt as st
+from stampede_rt import aio
 from stampede_rt.cli.commands import run
 from stampede_rt.values.balancing import DIFFERENCE_PERMILLE_MIN
 from stampede_rt.values.model import HostInfo
@@ -90,24 +94,45 @@ def test_a_drain_has_a_time_that_hosts_allow(cluster: LocalCluster, timeout: str
         rt.drain("h1", timeout=timeout)
 
 
-def test_a_stopping_host_moves_its_channels_away_under_load(cluster: LocalCluster) -> None:
+@contextmanager
+def leaving_host(cluster: LocalCluster) -> Iterator[ServiceProcess]:
     words = ["--listen", "localhost:0", "--name", "leaving", "--frontend", cluster.address, "--drain-seconds", "20"]
     words += ["--secret-file", str(cluster.secret_file)]
     leaving = ServiceProcess("host leaving", "stampede_rt_channel_host", words)
     try:
         leaving.start()
         leaving.wait_ready(READY_S)
-        with st.connect(cluster.address, transport="grpc") as rt:
-            channel = rt.channel(f"cam/{next(numbers)}", max_items=100_000, host="leaving")
-            first = channel.put(b"first")
-            with produced(channel) as producing, reading(channel, 2) as readers:
-                leaving.ask_to_stop()
-                eventually(lambda: hosts_of(rt, [channel.name]) != {"leaving"}, "the channel has gone")
-                wait_for_puts(producing, 50)
-                last = producing.stop()
-                end = channel.put(b"end")
-                all_saw(readers, end.seq)
-            assert (end.incarnation, end.seq) == (first.incarnation, last + 1)
-            assert hosts_of(rt, [channel.name]) <= {"h1", "h2"}
+        yield leaving
     finally:
         leaving.kill()
+
+
+def test_a_stopping_host_moves_its_channels_away_under_load(cluster: LocalCluster) -> None:
+    with leaving_host(cluster) as leaving, st.connect(cluster.address, transport="grpc") as rt:
+        channel = rt.channel(f"cam/{next(numbers)}", max_items=100_000, host="leaving")
+        first = channel.put(b"first")
+        with produced(channel) as producing, reading(channel, 2) as readers:
+            leaving.ask_to_stop()
+            eventually(lambda: hosts_of(rt, [channel.name]) != {"leaving"}, "the channel has gone")
+            wait_for_puts(producing, 50)
+            last = producing.stop()
+            end = channel.put(b"end")
+            all_saw(readers, end.seq)
+        assert (end.incarnation, end.seq) == (first.incarnation, last + 1)
+        assert hosts_of(rt, [channel.name]) <= {"h1", "h2"}
+
+
+async def test_channels_that_move_to_a_host_while_it_stops_are_not_lost(cluster: LocalCluster) -> None:
+    """In an earlier version, a stopping host gave only the channels away that it owned when its drain began."""
+    with leaving_host(cluster) as leaving:
+        async with aio.connect(cluster.address, transport="grpc") as rt:
+            channels = [await rt.channel(f"cam/{next(numbers)}", max_items=10, host="h1") for _ in range(40)]
+            for channel in channels:
+                await channel.put(b"kept")
+            moves = [asyncio.create_task(rt.move(channel, "leaving")) for channel in channels]
+            await asyncio.wait(moves, return_when=asyncio.FIRST_COMPLETED)
+            leaving.ask_to_stop()
+            await asyncio.gather(*moves, return_exceptions=True)  # the host refuses the moves that begin later
+            await asyncio.to_thread(eventually, lambda: leaving.ended, "the host has ended")
+            newest = [await channel.newest() for channel in channels]
+        assert [item and item.payload for item in newest] == [b"kept"] * len(channels)

@@ -271,7 +271,7 @@ class ChannelHost:
         ends_s = time.monotonic() + seconds
         self.moves_here.close()
         self._queues_here.close()
-        await self.draining.run(seconds, is_last=True)
+        await self.draining.run(seconds, arrivals=(self.moves_here.ended, self._queues_here.ended))
         await self._finish_archive(ends_s - time.monotonic())
 
     async def _finish_archive(self, seconds_max: float) -> None:

@@ -96,9 +96,13 @@ class Host(migration_service_pb2_grpc.MigrationServiceServicer):
 
 
 async def drained(
-    channels: int, *hosts: Host, recorded: bool = False, name: str = "cam/{}", held: int = 1, is_last: bool = False
-) -> DrainResult:
-    """Drain `channels` channels without groups, with `held` items each, to these hosts. Returns the outcome."""
+    channels: int, *hosts: Host, recorded: bool = False, name: str = "cam/{}", held: int = 1, is_last: bool = False,
+    arriving: int = 0,
+) -> DrainResult:  # fmt: skip
+    """Drain `channels` channels without groups, with `held` items each, to these hosts. Returns the outcome.
+
+    `arriving`: the number of further channels, whose moves to this host end during the drain.
+    """
     async with AsyncExitStack() as servers:
         others: list[OtherHost] = []
         for number, host in enumerate(hosts):
@@ -110,13 +114,20 @@ async def drained(
 
         policy = Policy(archive_nanos=1) if recorded else Policy()
         records = [
-            SimpleNamespace(channel_id=b"c%d" % one, name=name.format(one), policy=policy) for one in range(channels)
+            SimpleNamespace(channel_id=b"c%d" % one, name=name.format(one), policy=policy)
+            for one in range(channels + arriving)
         ]
         core = SimpleNamespace(latest_counters=lambda: SimpleNamespace(held=held))
-        own = [
+        later = [
             SimpleNamespace(record=one, copy=None, is_fallback=False, epoch=1, moving=None, core=core)
             for one in records
         ]
+        own, later = later[:channels], later[channels:]
+
+        async def arrived() -> None:
+            await asyncio.sleep(0)
+            own.extend(later)
+
         allowed: set[tuple[bytes, bytes]] = set()
         for number, host in enumerate(hosts):
             host.is_allowed = lambda channel_id, at=b"%d" % number: (channel_id, at) in allowed
@@ -129,7 +140,7 @@ async def drained(
         queues: Any = SimpleNamespace(all=list)
         dial = grpc.aio.insecure_channel
         drain = HostDrain(store, queues, directory, lambda channel_id: [], dial, dial, allow)
-        return await drain.run(SECONDS_MAX, is_last=is_last)
+        return await drain.run(SECONDS_MAX, arrivals=(arrived,) if is_last else ())
 
 
 async def test_a_drained_channel_goes_to_another_host_if_the_first_has_no_room() -> None:
@@ -254,6 +265,20 @@ async def test_two_channels_with_the_same_name_are_both_drained() -> None:
     host = Host()
     assert await drained(2, host, name="cam") == DrainResult(2, {})
     assert sorted(host.taken) == [b"c0", b"c1"]
+
+
+@pytest.mark.parametrize("channels", [0, 2])
+async def test_the_drain_of_a_stopping_host_also_moves_the_channels_that_arrive_meanwhile(channels: int) -> None:
+    """In an earlier version, their items were lost with the host, although the moves to it had succeeded."""
+    host = Host()
+    assert await drained(channels, host, is_last=True, arriving=2) == DrainResult(channels + 2, {})
+    assert sorted(host.taken) == [b"c%d" % one for one in range(channels + 2)]
+
+
+async def test_the_log_names_a_channel_that_arrives_and_cannot_move(caplog: pytest.LogCaptureFixture) -> None:
+    host = Host(always=PermissionDenied("a rule denies it"))
+    assert [*(await drained(0, host, is_last=True, arriving=1)).left] == ["cam/0"]
+    assert caplog.messages[0].startswith("1 channel could not move to another host (a rule denies it); the host stops")
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Callable, Collection, Sequence
-from typing import NamedTuple, Protocol
+from collections.abc import Awaitable, Callable, Collection, Sequence
+from typing import NamedTuple
 
 import grpc
 
@@ -24,17 +24,14 @@ from stampede_rt.errors import (
     Unavailable,
 )
 from stampede_rt.status import from_rpc_error
-from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1 import migration_service_pb2_grpc
-from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.copies.moves.drain_requests import DrainRequests
 from stampede_rt_channel_host.copies.moves.drain_room import DrainRoom
 from stampede_rt_channel_host.copies.moves.move_directory import MoveDirectory
+from stampede_rt_channel_host.copies.moves.own_subjects import OwnSubject, owned_by
 from stampede_rt_channel_host.core.placing import OtherHost, connected_sets, spread
-from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from stampede_rt_channel_host.queues.queue_store import QueueStore
-from stampede_rt_channel_host.queues.refusals import display_name
 
 logger = logging.getLogger(__name__)
 
@@ -52,80 +49,6 @@ class DrainResult(NamedTuple):
 
     moved: int
     left: dict[str, str]
-
-
-class _OwnSubject(Protocol):
-    """A channel or queue that this host owns."""
-
-    id: bytes
-    name: str
-    request: pb.MoveHereRequest
-    needs_archive: bool
-    is_queue: bool
-
-    @property
-    def epoch(self) -> int:
-        """Its present epoch."""
-
-    @property
-    def is_here(self) -> bool:
-        """Whether this host still owns it. A move may succeed although its caller got no answer."""
-
-    @property
-    def is_moving(self) -> bool:
-        """Whether the other host has begun the move."""
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether it has no item or message."""
-
-
-class _OwnChannel:
-    def __init__(self, store: ChannelStore, hosted: HostedChannel) -> None:
-        self._store, self._hosted = store, hosted
-        self.id, self.name = hosted.record.channel_id, hosted.record.name
-        self.request = pb.MoveHereRequest(channel_id=self.id)
-        self.needs_archive, self.is_queue = hosted.record.policy.is_recorded, False
-
-    @property
-    def epoch(self) -> int:
-        return self._hosted.epoch
-
-    @property
-    def is_here(self) -> bool:
-        return self._store.serves(self._hosted) and not self._hosted.is_fallback
-
-    @property
-    def is_moving(self) -> bool:
-        return self._hosted.moving is not None
-
-    @property
-    def is_empty(self) -> bool:
-        return self._hosted.core.latest_counters().held == 0
-
-
-class _OwnQueue:
-    def __init__(self, store: QueueStore, hosted: HostedQueue) -> None:
-        self._store, self._hosted = store, hosted
-        self.id, self.name = hosted.record.queue_id, f"queue {display_name(hosted.record)}"
-        self.request = pb.MoveHereRequest(queue_id=self.id)
-        self.needs_archive, self.is_queue = False, True
-
-    @property
-    def epoch(self) -> int:
-        return self._hosted.epoch
-
-    @property
-    def is_here(self) -> bool:
-        return self._store.serves(self._hosted)
-
-    @property
-    def is_moving(self) -> bool:
-        return self._hosted.moving is not None or self._hosted.copying is not None
-
-    @property
-    def is_empty(self) -> bool:
-        return self._hosted.queue.oldest_accepted_at is None
 
 
 class HostDrain:
@@ -148,52 +71,76 @@ class HostDrain:
         self._dial, self._dial_streams = dial, dial_streams
         self._allow = allow
 
-    async def run(self, seconds: float, *, is_last: bool = False) -> DrainResult:
+    async def run(self, seconds: float, *, arrivals: Sequence[Callable[[], Awaitable[None]]] = ()) -> DrainResult:
         """Move all channels and queues away. Ends after `seconds`, even if some have not moved. Raises nothing.
 
         The log names the channels and queues that have not moved, also if the caller cancels this call.
-        `is_last`: the host stops after this call, and the items in its memory are lost.
+        `arrivals`: the host stops after this call, and the items in its memory are lost. Each function waits for the
+        end of moves to this host that were under way. The drain then moves these channels and queues, too.
         """
-        own = self._own()
-        left = dict.fromkeys(own, "the drain ended before the move")
+        own: dict[bytes, OwnSubject] = {}
+        left: dict[bytes, str] = {}
+        self._add_own(own, left)
         try:
             async with asyncio.timeout(seconds):
                 if own:
-                    await self._move_all(own, left)
+                    await self._move_all(own, left, arrivals)
+                else:
+                    await _wait_for(arrivals)
+                while arrivals and (arrived := self._add_own(own, left)):  # each channel and queue once
+                    await self._move_all(arrived, left)
         except TimeoutError:
             pass
         except StampedeError as error:
             left.update(dict.fromkeys(left, str(error)))
         finally:  # also if a second signal cancels the drain
+            if arrivals:
+                self._add_own(own, left)
             moved = len(own) - len(left)
-            _log_outcome(moved, {own[one]: why for one, why in left.items()}, is_last=is_last)
+            _log_outcome(moved, {own[one]: why for one, why in left.items()}, is_last=bool(arrivals))
         return DrainResult(moved, {own[one].name: why for one, why in left.items()})
 
-    def _own(self) -> dict[bytes, _OwnSubject]:
-        """The channels and queues that this host owns, by id."""
-        channels = (one for one in self._store.all() if one.copy is None and not one.is_fallback and one.epoch)
-        queues = (one for one in self._queues.all() if one.epoch)
-        own: list[_OwnSubject] = [_OwnChannel(self._store, one) for one in channels]
-        own += [_OwnQueue(self._queues, one) for one in queues]
-        return {one.id: one for one in own}
+    def _add_own(self, own: dict[bytes, OwnSubject], left: dict[bytes, str]) -> dict[bytes, OwnSubject]:
+        """Add the channels and queues that this host owns to `own` and `left`. Returns the added ones."""
+        added = {one: subject for one, subject in owned_by(self._store, self._queues).items() if one not in own}
+        own |= added
+        left |= dict.fromkeys(added, "the drain ended before the move")
+        return added
 
-    async def _move_all(self, own: dict[bytes, _OwnSubject], left: dict[bytes, str]) -> None:
-        """Move the channels and queues.
+    async def _move_all(
+        self,
+        own: dict[bytes, OwnSubject],
+        left: dict[bytes, str],
+        arrivals: Sequence[Callable[[], Awaitable[None]]] = (),
+    ) -> None:
+        """Move the channels and queues of `own`, and the ones that are here after `arrivals`.
 
         Removes each moved one from `left`, and enters there the reason for each other one.
         """
         hosts = await self._directory.other_hosts()
         if not hosts:
-            left.update(dict.fromkeys(left, "there is no other live host"))
+            left.update(dict.fromkeys(own, "there is no other live host"))
             return
-        places = spread(connected_sets({one: self._groups_of(one) for one in own}), hosts)
         others = _OtherHosts(hosts, self._dial, self._dial_streams, self._allow)
+
+        def begin(subjects: dict[bytes, OwnSubject]) -> None:
+            places = spread(connected_sets({one: self._groups_of(one) for one in subjects}), hosts)
+            for one in subjects.values():
+                moves.create_task(_move(one, places[one.id], others, left))
+
         try:
             async with asyncio.TaskGroup() as moves:
-                for one in own.values():
-                    moves.create_task(_move(one, places[one.id], others, left))
+                begin(own)
+                if arrivals:
+                    await _wait_for(arrivals)
+                    begin(self._add_own(own, left))
         finally:
             await others.aclose()
+
+
+async def _wait_for(arrivals: Sequence[Callable[[], Awaitable[None]]]) -> None:
+    for ended in arrivals:
+        await ended()
 
 
 class _OtherHosts:
@@ -210,7 +157,7 @@ class _OtherHosts:
         self._connections: dict[str, grpc.aio.Channel] = {}
         self._requests: dict[str, DrainRequests] = {}
 
-    async def move(self, own: _OwnSubject, host: OtherHost) -> OtherHost:
+    async def move(self, own: OwnSubject, host: OtherHost) -> OtherHost:
         """Have a host take a channel or queue over, as soon as the limits allow another move.
 
         Returns `host` after the move. If `host` has become silent meanwhile, returns another host to try. Raises
@@ -225,7 +172,7 @@ class _OtherHosts:
                 self._room.answered(host.host_id, time.monotonic() - begun_s)
         return other or host
 
-    async def _ask(self, own: _OwnSubject, host: OtherHost) -> None:
+    async def _ask(self, own: OwnSubject, host: OtherHost) -> None:
         while True:  # the source ends a move whose destination is silent; each request joins the move
             self._allow(own.id, own.epoch, host.host_id)
             try:
@@ -237,7 +184,7 @@ class _OtherHosts:
                     self._silent.add(host.host_id)
                     raise
 
-    async def _take_over(self, own: _OwnSubject, target: str) -> None:
+    async def _take_over(self, own: OwnSubject, target: str) -> None:
         """Send one request. All channels share one stream, and each queue has a call of its own.
 
         At a host of an older release each channel has a call of its own, too.
@@ -257,11 +204,11 @@ class _OtherHosts:
         """Stop choosing this host, because it stops. Idempotent."""
         self._hosts = [one for one in self._hosts if one is not host]
 
-    def first(self, own: _OwnSubject, host: OtherHost) -> OtherHost | None:
+    def first(self, own: OwnSubject, host: OtherHost) -> OtherHost | None:
         """`host`, or another host if this one cannot have the channel. None: no host can have it."""
         return host if host.has_archive or not own.needs_archive else self.after(own, host)
 
-    def after(self, own: _OwnSubject, host: OtherHost) -> OtherHost | None:
+    def after(self, own: OwnSubject, host: OtherHost) -> OtherHost | None:
         """The host to try after `host`. Each host has its turn; silent hosts come last. None: there is no host."""
         fitting = [one for one in self._hosts if one.has_archive or not own.needs_archive]
         hosts = [one for one in fitting if one.host_id not in self._silent] or fitting
@@ -276,7 +223,7 @@ class _OtherHosts:
             await connection.close(None)
 
 
-async def _move(own: _OwnSubject, place: OtherHost, others: _OtherHosts, left: dict[bytes, str]) -> None:
+async def _move(own: OwnSubject, place: OtherHost, others: _OtherHosts, left: dict[bytes, str]) -> None:
     """Move one channel or queue.
 
     Tries one host after the other while they have no room, have too many moves, or do not answer.
@@ -305,8 +252,9 @@ async def _move(own: _OwnSubject, place: OtherHost, others: _OtherHosts, left: d
         left.pop(own.id, None)
 
 
-def _log_outcome(moved: int, left: dict[_OwnSubject, str], *, is_last: bool) -> None:
-    """Log the outcome. `left`: the channels and queues that are still here, with the reasons. `is_last`: see `run`."""
+def _log_outcome(moved: int, left: dict[OwnSubject, str], *, is_last: bool) -> None:
+    """Log the outcome. `left`: the channels and queues that are still here, with the reasons. `is_last`: the host
+    stops after the drain."""
     archived = [one for one in left if is_last and one.needs_archive]
     stuck = [one for one in left if not is_last or not (one.needs_archive or one.is_empty)]
     if archived:
@@ -324,14 +272,14 @@ def _log_outcome(moved: int, left: dict[_OwnSubject, str], *, is_last: bool) -> 
         logger.info("all channels have moved to other hosts", extra={"event": "host_drained", "channels": moved})
 
 
-def _counted(subjects: Sequence[_OwnSubject]) -> str:
+def _counted(subjects: Sequence[OwnSubject]) -> str:
     """The numbers of channels and queues, such as "1 channel and 2 queues"."""
     queues = sum(one.is_queue for one in subjects)
     counts = (("channel", len(subjects) - queues), ("queue", queues))
     return " and ".join(f"{count} {noun}{'' if count == 1 else 's'}" for noun, count in counts if count)
 
 
-def _named(subjects: Sequence[_OwnSubject]) -> dict[str, str | int]:
+def _named(subjects: Sequence[OwnSubject]) -> dict[str, str | int]:
     names = ", ".join(one.name for one in subjects[:NAMES_LOGGED_MAX])
     return {"channels": names, "count": len(subjects)}
 

@@ -103,6 +103,11 @@ class IncomingMoves:
         """Begin no further moves, because this host gives its channels away and stops."""
         self._is_closing = True
 
+    async def ended(self) -> None:
+        """Wait until no move is under way. Call `close` first."""
+        while self._moves:
+            await asyncio.wait([*self._moves.values()])
+
     async def aclose(self) -> None:
         """Give up all moves."""
         moves = [*self._moves.values()]
@@ -236,7 +241,7 @@ class IncomingMoves:
             delay_s = min(2 * delay_s, RETRY_SECONDS_MAX)
         raise Unavailable(
             f"host {self._identity.name} has lost channel {hosted.record.name} at the end of its move; look where the "
-            "channel is (`stampede channels`), and move it again"
+            f"channel is (`stampede info {hosted.record.name}`), and move it again"
         )
 
 

@@ -98,6 +98,11 @@ class QueueArrivals:
         """Begin no further moves, because the host stops."""
         self._is_closing = True
 
+    async def ended(self) -> None:
+        """Wait until no move is under way. Call `close` first."""
+        while self._moves:
+            await asyncio.wait([*self._moves.values()])
+
     async def aclose(self) -> None:
         """End all moves."""
         for task in [*self._moves.values()]:
