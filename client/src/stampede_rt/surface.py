@@ -336,7 +336,7 @@ def host(
 
     The other arguments are as in `connect`. The host needs the cluster's secret, or a certificate of the role host.
 
-    Blocks for at most 20 s. `close` blocks for `drain` and some seconds more.
+    Blocks for at most 35 s. `close` blocks for `drain` and some seconds more.
     Raises HostExists, the errors of `connect`, and InvalidArgument if the extra [server] is not installed.
     """
     options = HostOptions.parse(

@@ -22,6 +22,7 @@ from stampede_rt.cluster.embedding import HostOptions
 from stampede_rt_channel_host.embedded import embed
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
+from tests.support.waiting import wait_until
 
 pytestmark = pytest.mark.without_rules("a client token cannot host channels")
 cluster = cluster_fixture(hosts=1, supernodes=1)
@@ -149,6 +150,23 @@ rt.queue("embedded/queue-6").put(b"kept, too")
         assert message is not None
         assert message.payload == b"kept, too"
         assert "rig-6" not in names_of_hosts(rt)
+
+
+def test_a_restarted_program_waits_for_the_name_of_its_former_process(cluster: LocalCluster) -> None:
+    """A program that ends without a close remains a peer until the lease of the peer ends."""
+    made: list[st.Connection] = []
+
+    def start_again() -> None:
+        made.append(st.host(cluster.address, name="rig-8"))
+
+    with st.connect(cluster.address) as other, st.connect(cluster.address, name="rig-8") as former:
+        restarting = threading.Thread(target=start_again)
+        restarting.start()
+        wait_until(lambda: "rig-8" in names_of_hosts(other), "the host has started")
+        former.close()
+        restarting.join(LIMIT_S)
+        assert [one.name for one in made] == ["rig-8"]
+        made[0].close()
 
 
 def test_a_host_that_is_closed_before_its_loop_runs_leaves_the_cluster() -> None:

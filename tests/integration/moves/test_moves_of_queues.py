@@ -62,7 +62,8 @@ def test_the_command_moves_a_queue(rt: Any, cluster: LocalCluster, capsys: pytes
     queue = rt.queue(f"jobs/{next(numbers)}", host="h1")
     queue.put(b"x")
     assert run(["move", "--queue", queue.name, "h2", "-o", "json", "--url", cluster.address]) == 0
-    assert json.loads(capsys.readouterr().out)["held"] == 1
+    moved = json.loads(capsys.readouterr().out)
+    assert (moved["queue"], moved["held"]) == (queue.name, 1)
     assert queue.get(timeout=5).payload == b"x"
 
 

@@ -7,12 +7,15 @@ from typing import Any
 
 import pytest
 
+from stampede_rt.cli.verbs import SERVICE_VERBS, VERBS
 from tools import signposts
 from tools.signposts import BEGIN, END, ROOT, index_complaints, layers, merge_complaints, unknown_names, with_layers
 
 FILES = ["client/src/stampede_rt/wire/runs.py", "docs/wire.md", "services/host/src/stampede_rt_host/core/__init__.py"]
 LAYERED = {"name": "Down", "type": "layers", "layers": ["pkg.top", "pkg.a : pkg.b", "pkg.low"]}
 SENTENCES_MAX = 4
+COMMAND = re.compile(r"`stampede ([a-z][a-z-]*)")
+SPANS = {"open", "enqueue", "take", "subscribe", "match"}  # traces have these names
 GLOSSARY_ROW = re.compile(r"^\| ([^|]+) \| ([^|]+) \| `([\w.]+)` \|$", re.MULTILINE)
 
 
@@ -111,3 +114,14 @@ def forms_of(term: str) -> set[str]:
 
 def test_the_way_for_newcomers_is_short() -> None:
     assert len((ROOT / "docs/finding-your-way.md").read_text().splitlines()) <= 60
+
+
+def test_pages_and_errors_name_existing_verbs() -> None:
+    folders = ("client", "services", "web", "deploy", "demos", "benchmarks")
+    files = [path for folder in folders for path in (ROOT / folder).glob("**/src/**/*.py")]
+    pages = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]
+    named = {
+        (path.name, verb) for path in [*files, *pages] for verb in COMMAND.findall(path.read_text(encoding="utf-8"))
+    }
+    spans = {("observing.md", span) for span in SPANS}
+    assert {(name, verb) for name, verb in named - spans if verb not in VERBS and verb not in SERVICE_VERBS} == set()

@@ -20,12 +20,11 @@ from stampede_rt._async.queue import Queue, dead_letter_id
 from stampede_rt._async.queue_locator import queue_state
 from stampede_rt._async.real_clock import RealClock
 from stampede_rt._async.replay import ReplayedConnection
-from stampede_rt._async.session import CALL_TIMEOUT_S, Session, left_s, request_id
-from stampede_rt.cluster.embedding import InProcessHost
+from stampede_rt._async.session import CALL_TIMEOUT_S, Session, request_id
+from stampede_rt.cluster.embedding import START_TIMEOUT_S, InProcessHost
 from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.handles import Reference
-from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
 from stampede_rt.values.codecs import CodecLike, HandleCodec
 from stampede_rt.values.grouping import (
@@ -74,15 +73,16 @@ class Connection(Mailboxes, RealClock, Reference):
     async def _open(self, host: InProcessHost | None = None) -> Connection:
         """Find the cluster, and register the peer if the connection has a name. Takes at most about 5 s.
 
-        `host` is the channel host of this process, if there is one; it starts first, which takes at most 15 s more.
+        `host` is the channel host of this process, if there is one. It starts first, which takes at most 15 s more. As
+        the host, the peer then also waits for the end of the lease of a former process with its name, for at most 15 s.
         Raises Unavailable, PermissionDenied, VersionMismatch, PeerExists, HostExists.
         """
         await self._session.open()
         if host is not None:
             await ConnectionHost(self._session, host).begin()
-        deadline_s = monotonic_s() + CONNECT_TIMEOUT_S
         if self._presence is not None:
-            mailbox = await self._presence.begin(left_s(deadline_s))
+            timeout_s = CONNECT_TIMEOUT_S if host is None else START_TIMEOUT_S
+            mailbox = await self._presence.begin(timeout_s, waits_for_name=host is not None)
             self._mailbox = Mailbox(self._session, self._presence, mailbox)
         return self
 

@@ -24,7 +24,7 @@ from stampede_rt.errors import (
     Unavailable,
 )
 from stampede_rt.handles import BoundToProcess
-from stampede_rt.transports.concurrency_async import BackgroundTask, Signal
+from stampede_rt.transports.concurrency_async import BackgroundTask, Signal, sleep
 from stampede_rt.v1 import peer_service_pb2 as peer_pb
 from stampede_rt.values.peering import ClockOffset, PeerIdentity, PeerInfo
 from stampede_rt.values.queueing import QueuePolicy
@@ -32,6 +32,7 @@ from stampede_rt.version import VERSION
 from stampede_rt.wire.peers import clock_message, peer_info
 
 LEAVE_TIMEOUT_S = 1.0  # for each of two steps: the end of the renewals, and the call that deregisters the peer
+NAME_RETRY_S = 0.25
 RENEWALS_IN_LEASE = 3
 _log = logging.getLogger("stampede_rt")
 
@@ -65,9 +66,21 @@ class Presence:
         """The id of this peer."""
         return self._identity.peer_id
 
-    async def begin(self, timeout_s: float) -> QueueState:
-        """Register, begin to renew the lease, and return the mailbox. Raises PeerExists, Unavailable."""
-        mailbox = await self._register(timeout_s)
+    async def begin(self, timeout_s: float, *, waits_for_name: bool = False) -> QueueState:
+        """Register, begin to renew the lease, and return the mailbox. Raises PeerExists, Unavailable.
+
+        `waits_for_name`: while another live peer has the name, try again until the time is over. That peer may be the
+        former process of this program, whose lease ends by itself.
+        """
+        deadline_s = time.monotonic() + timeout_s
+        while True:  # paced by the sleep; ends at the deadline
+            try:
+                mailbox = await self._register(deadline_s - time.monotonic())
+                break
+            except PeerExists:
+                if not waits_for_name or time.monotonic() + NAME_RETRY_S >= deadline_s:
+                    raise
+            await sleep(NAME_RETRY_S)
         self._session.attach(self)
         self._background = BackgroundTask(self._keep, f"lease of peer {self._name}")
         return mailbox
@@ -104,8 +117,8 @@ class Presence:
         except PeerExists as error:
             raise PeerExists(
                 f"another live peer has the name {self._name!r}; take another name, or wait until that peer leaves or "
-                "its lease ends. A restarted program gets its name back immediately if it gives the same proof to "
-                "connect() both times",
+                "its lease ends. A restarted program gets its name back immediately if it gives the same `proof` "
+                "both times",
                 metadata=error.metadata,
             ) from error
         return self._learn(response)

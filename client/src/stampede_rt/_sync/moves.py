@@ -3,12 +3,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
 from typing import NamedTuple
 
 from stampede_rt._sync.proxies import Proxies
 from stampede_rt._sync.reader import Reader
-from stampede_rt.errors import HostNotFound, InvalidArgument, PermissionDenied, QueueNotFound, StaleBinding
+from stampede_rt.errors import (
+    DeadlineExceeded,
+    HostNotFound,
+    InvalidArgument,
+    PermissionDenied,
+    QueueNotFound,
+    StaleBinding,
+    Unavailable,
+)
 from stampede_rt.transports.concurrency_sync import monotonic_s, sleep
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.values.balancing import PlannedMove, plan_moves
@@ -105,7 +114,8 @@ class Moves(Proxies):
         The plan uses the loads that the hosts last reported to the directory, and the work of each channel, measured
         for `over`. Channels of one group at one host stay together. Without `apply` the call only returns the plan.
         Hosts whose loads differ by less than a tenth of a core stay as they are, and so do channels with an archive.
-        `over` is more than 0 and at most an hour. Raises InvalidArgument, and the errors of `move`.
+        Hosts that leave meanwhile, or do not answer, take no part. `over` is more than 0 and at most an hour. Raises
+        InvalidArgument, and the errors of `move`.
         """
         over_nanos = parse_duration(over, "over")
         if not 0 < over_nanos <= OVER_NANOS_MAX:
@@ -113,6 +123,7 @@ class Moves(Proxies):
         loads = {one.name: one.load for one in self.hosts() if one.load is not None}
         hosts = {name: load.busy_permille for name, load in loads.items() if not load.private}
         rates = self._rates(hosts, over_nanos / 1e9)
+        hosts = {name: busy for name, busy in hosts.items() if name in rates}
         channels = self.channels()
         names = {one.channel_id: one.name for one in channels}
         staying = {one.name for one in channels if one.policy.is_recorded}
@@ -123,19 +134,28 @@ class Moves(Proxies):
         return planned
 
     def _rates(self, hosts: Collection[str], over_s: float) -> dict[str, dict[str, float]]:
-        """Measure the work of each channel for `over_s` seconds. Returns the work by host and channel name."""
-        before = {host: self.hosted_channels(host) for host in hosts}
+        """Measure the work of each channel for `over_s` seconds. Returns the work by host and channel name.
+
+        Leaves out hosts that leave meanwhile, or do not answer.
+        """
+        before = self._counters(hosts)
         sleep(over_s)
-        # A host also lists its copies of other hosts' channels.
-        owners = {one.name: one.host for one in self.channels()}
-        rates: dict[str, dict[str, float]] = {}
-        for host in hosts:
-            after = self.hosted_channels(host)
-            own = {name: stats for name, stats in after.items() if owners.get(name) == host}
-            rates[host] = {
-                name: _work(stats) - _work(before[host].get(name, stats)) + 1.0 for name, stats in own.items()
+        after = self._counters(before)
+        owners = {one.name: one.host for one in self.channels()}  # a host also lists its copies of other channels
+        return {
+            host: {
+                name: _work_since(before[host], name, new) for name, new in counters.items() if owners.get(name) == host
             }
-        return rates
+            for host, counters in after.items()
+        }
+
+    def _counters(self, hosts: Collection[str]) -> dict[str, dict[str, ChannelStats]]:
+        """Return the counters of the channels at each host that answers."""
+        found: dict[str, dict[str, ChannelStats]] = {}
+        for host in hosts:
+            with suppress(HostNotFound, Unavailable, DeadlineExceeded):
+                found[host] = self.hosted_channels(host)
+        return found
 
     def drain(self, host: str, *, timeout: DurationLike = MOVE_TIMEOUT) -> DrainInfo:
         """Move all channels, queues and mailboxes of a host to other hosts, while they are in use. For operators.
@@ -176,3 +196,8 @@ def _info(name: str, host: str, answer: pb.MoveHereResponse) -> MoveInfo:
 def _work(stats: ChannelStats) -> float:
     """The work of a host for a channel, in bytes: the bytes in and out, and ITEM_WORK_BYTES for each item."""
     return stats.accepted_bytes + stats.delivered_bytes + ITEM_WORK_BYTES * stats.accepted
+
+
+def _work_since(before: Mapping[str, ChannelStats], name: str, now: ChannelStats) -> float:
+    """The work for a channel since `before`, and a little more."""
+    return _work(now) - _work(before.get(name, now)) + 1.0

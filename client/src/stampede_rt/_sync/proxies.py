@@ -75,7 +75,7 @@ class Proxies(Discovery):
         name = channel.name if isinstance(channel, Reader) else parse_name(channel)
         info = self._session.open_channel(name, Policy(), None, False)
         if not info.host_alive:
-            raise HostNotFound(f"the host of channel {name!r} is lost; open the channel, and add the proxy then")
+            raise HostNotFound(f"the host of channel {name!r} is lost; open the channel, and then try again")
         return self._session.state_of(info, Policy(), False)
 
     def _begin(self, state: ChannelState, host: directory_pb2.HostRecord) -> None:

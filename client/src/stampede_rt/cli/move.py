@@ -33,7 +33,7 @@ def run_move(arguments: argparse.Namespace) -> int:
             moved = rt.move_queue(arguments.channel, arguments.host)
         else:
             moved = rt.move(existing_channel(rt, arguments.channel), arguments.host)
-    print_facts(move_row(moved, arguments.output), arguments.output)
+    print_facts(move_row(moved, "queue" if arguments.queue else "channel", arguments.output), arguments.output)
     return 0
 
 
@@ -46,9 +46,10 @@ def run_rebalance(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def move_row(moved: MoveInfo, output_format: str) -> dict[str, Any]:
-    """Return a move as facts to print, for people or for programs."""
+def move_row(moved: MoveInfo, subject: str, output_format: str) -> dict[str, Any]:
+    """Return a move as facts to print, for people or for programs. `subject`: "channel" or "queue"."""
     facts = asdict(moved)
+    facts = {subject: facts.pop("channel"), **facts}
     if output_format == "table":
         facts["puts waited"] = format_duration(facts.pop("blackout_nanos"))
     return facts

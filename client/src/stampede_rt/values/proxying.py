@@ -32,10 +32,10 @@ class ProxyInfo:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MoveInfo:
-    """A channel that has moved to `host`.
+    """A channel or queue that has moved to `host`.
 
-    `held`: the items that moved with it, `held_bytes` their payload bytes. `blackout_nanos`: the time for which puts
-    waited; 0 if the channel was there already.
+    `channel`: its name, also the name of a queue. `held`: the items that moved with it, `held_bytes` their payload
+    bytes. `blackout_nanos`: the time for which puts waited; 0 if the channel was there already.
     """
 
     channel: str
