@@ -15,9 +15,10 @@ NPY = "application/x-npy"
 DEPTH_MAX = 8  # the levels of nested objects that become columns; deeper objects become JSON text
 COLUMNS_MAX = 1000
 INT_MAX = 2**63 - 1
-EXACT_MAX = 2**53  # a float has each whole number up to here exactly
+EXACT_MAX = 2**53  # a float can represent every whole number up to this one
 BOOL, INT, LONG, FLOAT, TEXT = "bool", "int", "long", "float", "text"
-INTS, LONGS, FLOATS = "ints", "longs", "floats"
+INTS, LONGS, FLOATS = "ints", "longs", "floats"  # lists of such numbers
+# A column with cells of these two kinds gets the kind of the key. An int is exact as a float, and a long is not.
 _JOINED = {FLOAT: {INT, FLOAT}, LONG: {INT, LONG}, FLOATS: {INTS, FLOATS}, LONGS: {INTS, LONGS}}
 Cell = Any
 Row = dict[str, Cell]
@@ -123,7 +124,7 @@ def as_kind(cell: Cell, kind: str) -> Cell:
 def _plain(value: Any) -> Any:
     """Convert a value that JSON does not have: an array to lists, any other value to text.
 
-    An array does not become text, because numpy leaves out numbers of a long array there.
+    An array does not become text, because numpy shortens the text of a long array.
     """
     return value.tolist() if hasattr(value, "ndim") and value.ndim else str(value)
 

@@ -11,7 +11,8 @@ from stampede_rt.files.framing import RecordFile
 class DataSum:
     """Computes the checksum part by part.
 
-    A reader adds each part just after it has read the part. The operating system then still has its bytes in memory.
+    A reader adds each part just after it has read the part, because the operating system then still has these bytes in
+    memory.
     """
 
     def __init__(self, records: RecordFile) -> None:
@@ -19,12 +20,12 @@ class DataSum:
         self._checksum = self._place = 0
 
     def read_to(self, end: int) -> None:
-        """Add the bytes before the byte `end` that are not in the checksum yet."""
+        """Add all bytes before the position `end` that are not in the checksum yet."""
         self._checksum = self._records.checksum(self._place, end, self._checksum)
         self._place = max(self._place, end)
 
     def is_stated_at(self, offset: int) -> bool:
-        """Whether the record DataEnd at a byte states the checksum of all bytes before it, or 0 for no checksum.
+        """Whether the record DataEnd at `offset` states the right checksum of all bytes before it, or 0: no checksum.
 
         Reads the bytes that `read_to` has not read. Raises FileError.
         """

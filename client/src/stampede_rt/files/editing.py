@@ -52,7 +52,7 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str], *, ove
 
 
 class _Repeated:
-    """Tells whether an item has come already. A faulty copy of a file may have a chunk twice."""
+    """Recognizes an item that an earlier part of the file also has. A faulty copy of a file may have a chunk twice."""
 
     def __init__(self) -> None:
         self._seqs: dict[tuple[str, int], SeqRanges] = {}
@@ -95,7 +95,7 @@ def writer_of(writer: FileWriter) -> Callable[[Event | Attachment | Metadata], N
 def finish_with(writer: FileWriter, summary: RecordingSummary) -> None:
     """Write the summary, if it is needed, and finish the file.
 
-    It is needed for a channel of Stampede RT, and for a loss that no gap names.
+    The summary is needed if the file has a channel of Stampede RT, or a loss that no gap names.
     """
     own = [one for one in summary.channels if one.incarnation]
     if own or summary.damaged:

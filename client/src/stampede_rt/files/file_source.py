@@ -15,7 +15,7 @@ from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
 
 TOPICS_NAMED = 5  # the most topics that an error names
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-Chosen = Callable[[str], bool]
+Chosen = Callable[[str], bool]  # whether the caller wants the topic of this name
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -43,8 +43,8 @@ def none_chosen(source: FileSource) -> str:
 def check_unpacked(path: str, entry: FileEntry) -> None:
     """Check that a message is not compressed. Raises FileError.
 
-    Rosbag2 can compress each message separately. Only the `metadata.yaml` of the bag says this. No message in CDR
-    begins with the magic number of zstd.
+    Rosbag2 can compress each message separately. Only the `metadata.yaml` of the bag says this. CDR is the encoding of
+    ROS messages, and no message in CDR begins with the magic number of zstd.
     """
     if entry.topic.encoding == "cdr" and entry.seq is None and entry.data.startswith(_ZSTD_MAGIC):
         raise FileError(

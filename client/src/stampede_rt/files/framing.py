@@ -1,5 +1,6 @@
-"""Finds the records of an MCAP file, also of a truncated, damaged or hostile one. It reads a record only when the
-caller asks for it.
+"""Finds the records of an MCAP file, which may be truncated, damaged or hostile.
+
+This module reads the body of a record only when the caller needs it.
 
 The `mcap` library decodes the records. It trusts the lengths in a file, so this module checks them first.
 """
@@ -141,7 +142,7 @@ class RecordFile:
     def chunk_head(self, frame: RecordFrame) -> tuple[int, int, int] | None:
         """Return the first time, the last time and the decompressed size in the head of a chunk; None: it is no chunk.
 
-        No checksum covers the head.
+        No checksum covers the head, so the values may be wrong.
         """
         head = self._read(frame.offset + _FRAME.size, _CHUNK_HEAD.size)
         return _CHUNK_HEAD.unpack(head)[:3] if frame.opcode == Opcode.CHUNK and len(head) == _CHUNK_HEAD.size else None

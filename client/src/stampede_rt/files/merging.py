@@ -108,7 +108,7 @@ def _seqs_of(paths: Sequence[str | os.PathLike[str]]) -> tuple[Ranges, Times]:
 
 
 def _by_time(number: int, reader: FileReader) -> Iterator[tuple[int, int, Event | Attachment | Metadata]]:
-    """Yield each event as (time, number of the file, event). The time is the latest so far, so it never falls."""
+    """Yield each event as (time, number of the file, event). The time is the greatest so far, so it never falls."""
     latest = -(2**63)
     for part in intact_contents(reader):
         if not isinstance(part, ChunkContent):
@@ -121,7 +121,7 @@ def _by_time(number: int, reader: FileReader) -> Iterator[tuple[int, int, Event 
 
 
 class _Merged:
-    """Finds what the events of the files add to the events before them. `held` has the seqs of all files together."""
+    """Finds the parts of events that the output does not have yet. `held` has the seqs of the items in all files."""
 
     def __init__(self, held: Ranges) -> None:
         self._held = held
@@ -176,7 +176,7 @@ def _remaining(gap: RecordingGap, held: SeqRanges, reported: SeqRanges) -> Itera
     if first is not None and last is None:
         gap = replace(gap, first_seq=held.end_from(first))
     if first is None or last is None:
-        yield gap
+        yield gap  # a gap without a bound cannot be compared with the items
         return
     parts = [part for begin, end in held.missing(first, last) for part in reported.missing(begin, end)]
     for begin, end in parts:

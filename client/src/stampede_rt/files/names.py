@@ -13,7 +13,7 @@ _FORBIDDEN = re.compile(r"[^A-Za-z0-9._/-]")
 
 @lru_cache(256)
 def _pattern(glob: str) -> re.Pattern[str]:
-    return re.compile(translate(glob.replace("[", "[[]")))  # its stars do not backtrack, so a match takes a short time
+    return re.compile(translate(glob.replace("[", "[[]")))  # `translate` writes stars that do not backtrack
 
 
 def matches(glob: str, name: str) -> bool:
@@ -31,7 +31,7 @@ def channel_name(topic: str, prefix: str = "") -> str:
 
 
 def matches_any(globs: Iterable[str] | None) -> Callable[[str], bool]:
-    """Return a function that tells whether a name matches one of the globs. None: all names match."""
+    """Return a function that is true for a name that matches one of the globs. None: it is true for all names."""
     if globs is None:
         return lambda name: True
     many = tuple(globs)

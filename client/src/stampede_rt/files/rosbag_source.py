@@ -68,7 +68,7 @@ class RosbagSource:
     def damaged(self) -> Sequence[str]:
         """The files that the metadata does not name, and the topics of which some messages could not be read.
 
-        Such a topic is known only when the caller has read all its `events`.
+        This property names such a topic only after the caller has read all `events` of the topic.
         """
         return [*self._unnamed, *self._missing.values()]
 

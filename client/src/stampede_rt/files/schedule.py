@@ -59,7 +59,7 @@ class Schedule:
         return cls(start, end, speed, now, int(moved))
 
     def due_nanos(self, time: int) -> int:
-        """Return how long after the beginning an item of that time is put."""
+        """Return the time from the beginning of the replay until it puts an item with the time `time`."""
         return 0 if self.speed == 0 else round(max(0, time - self.start) / self.speed)
 
     @property
@@ -78,7 +78,7 @@ def parse_shift(shift: object) -> int | str | None:
     """Return a shift in nanoseconds, "now", or None for times as recorded. Raises InvalidArgument."""
     if shift is None or shift == SHIFT_NOW:
         return None if shift is None else SHIFT_NOW
-    return parse_duration(shift, "shift")  # type: ignore[arg-type]  # it checks
+    return parse_duration(shift, "shift")  # type: ignore[arg-type]  # parse_duration checks the type
 
 
 def parse_speed(speed: object) -> float:
@@ -93,10 +93,10 @@ def target_policy(
 ) -> dict[str, Any]:
     """Return the policy of a channel that a replay creates, as arguments of `Connection.channel`.
 
-    It is the recorded policy, without the fields about consumers, and with the archive only if `archived`. Without a
-    shift it has no limit of age, because such a limit would refuse or delete the items. With a shift the limits are
-    longer by the lag. If the channel `keeps_all` items and has no archive, it has no max_items, and at least the
-    default of max_bytes.
+    The policy is the recorded one, without the fields about consumers, and with the archive only if `archived`. Without
+    a shift the policy has no limit of age, because such a limit would refuse or delete the old items. With a shift the
+    limits of age are longer by the lag. If the channel `keeps_all` items and has no archive, the policy has no
+    max_items, and at least the default of max_bytes.
     """
     policy: dict[str, Any] = {name: _count(recorded.get(name)) for name in ("max_bytes", "max_items")}
     max_age, overlap = _count(recorded.get("max_age_nanos")), _count(recorded.get("overlap_nanos"))

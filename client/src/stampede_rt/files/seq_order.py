@@ -19,7 +19,8 @@ Waiting = tuple[int, int, int, Event]  # the event's seq, its rank at this seq, 
 class SeqOrder:
     """Passes events on to `take`. An item waits for the items of its channel with earlier seqs.
 
-    `held` has the seqs of all items that come. If more than 64 MiB of events wait, this passes all of them on.
+    `held` has the seqs of all items that the caller will add. If more than 64 MiB of events wait, the object passes all
+    of them on.
     """
 
     def __init__(self, held: Mapping[Key, SeqRanges], take: Callable[[Event], object]) -> None:
@@ -30,7 +31,7 @@ class SeqOrder:
         self._numbers = count()
 
     def add(self, event: Event) -> None:
-        """Take an event, and pass on all events that wait for none."""
+        """Take an event, and pass on all events that need not wait for another event."""
         key, place = _place_of(event)
         if place is None or key not in self._held:
             self._take(event)

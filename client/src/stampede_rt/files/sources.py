@@ -46,7 +46,7 @@ class McapSource:
 
     @property
     def damaged(self) -> Sequence[str]:
-        """See `FileSource.damaged`. After `events`, the last text says so if the checksum is wrong."""
+        """See `FileSource.damaged`. If `events` has found a wrong checksum, the last text says so."""
         return self._damaged
 
     def close(self) -> None:
@@ -68,9 +68,9 @@ class McapSource:
         return [self._topics[name] for name in sorted(policies) if name in self._topics]
 
     def first_time(self, name: str, start: int, end: int) -> int | None:
-        """See `FileSource.first_time`. Late items may come after the first ones, so this looks at all chunks.
+        """See `FileSource.first_time`. A late item may follow items with greater times, so this looks at all chunks.
 
-        Raises FileError if `events` would raise it for the first item of the topic. So a caller learns of it earlier.
+        Raises the FileError that `events` would raise for the first item of the topic: a caller then gets it earlier.
         """
         places, end = self._places_of(name), end if end < MAX_INSTANT else TIME_MAX + 1
         found = self._bound(name, places, 1, start, end)

@@ -21,8 +21,9 @@ class ChannelTally:
         self.channel = channel
         self.incarnation = incarnation
         self._live_seq = live_seq
-        self._end_seq = live_seq - 1  # the last seq of the recording
-        self._recorded = self._live_recorded = self._payload_bytes = 0
+        self._end_seq = live_seq - 1  # the last seq that belongs to the recording, as known so far
+        self._recorded = self._payload_bytes = 0
+        self._live_recorded = 0  # the recorded items from `live_seq` on
         self._named = 0  # the number of missing items for which a gap was added
         self._gaps: list[RecordingGap] = []
         self._gap_count = 0

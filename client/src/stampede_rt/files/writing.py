@@ -24,7 +24,7 @@ except ImportError as missing:
 Compression = Literal["zstd", "lz4", "none"]
 COMPRESSIONS: tuple[Compression, ...] = get_args(Compression)
 CHUNK_BYTES = 1024 * 1024  # before compression; a larger message has a chunk of its own
-FACTS_BYTES_PER_ITEM = 16  # so that a chunk of many empty items ends, too
+FACTS_BYTES_PER_ITEM = 16  # counts towards CHUNK_BYTES, so that a chunk of many empty items ends, too
 PART_SUFFIX = ".part"  # the end of the name of a file that `replacing` has not finished
 TOPICS_MAX = 65_000  # MCAP numbers them with 16 bits
 _REMEDIES = {
@@ -106,7 +106,8 @@ def replaced(path: str | os.PathLike[str], *, overwrite: bool) -> Iterator[Path]
 class FileWriter:
     """Writes one file. Only one thread may use it at a time. After `finish` or an error it takes nothing more.
 
-    A chunk ends with its facts. So a file that is cut off at any byte still has the facts of every whole chunk.
+    Facts are the properties of items that MCAP has no field for, such as seqs and durations. Each chunk ends with its
+    facts, so a file that is cut off at any byte still has the facts of every whole chunk.
     """
 
     def __init__(
@@ -135,7 +136,7 @@ class FileWriter:
 
     @property
     def pending(self) -> bool:
-        """Whether there is something that is not in the file yet."""
+        """Whether the writer has messages, gaps or advances that are not in the file yet."""
         return self._pending_bytes > 0
 
     def add(self, entries: Iterable[FileEntry]) -> None:

@@ -82,7 +82,7 @@ class XdfSource:
 
 
 class _Complaints(logging.Handler):
-    """Gathers the errors that a library logs while it skips damaged parts. The log itself gets nothing."""
+    """Gathers the errors that a library logs while it skips damaged parts, and keeps them out of the program's log."""
 
     def __init__(self, name: str) -> None:
         super().__init__(logging.ERROR)
@@ -122,7 +122,10 @@ def _text(stream: Any, field: str) -> str:
 
 
 def _unfinished(name: str, stream: Any) -> str:
-    """Return the samples that a file lacks of a stream; empty: none. A recorder writes the number of samples last."""
+    """Return a text about the missing samples of a stream; empty: none are missing.
+
+    A recorder writes the number of samples last, in the footer of the stream.
+    """
     footer = stream.get("footer")
     if footer is None:
         return (
