@@ -28,6 +28,7 @@ from stampede_rt_channel_host.core.archive import WantedItems, WantedWindow
 from stampede_rt_channel_host.core.channel import (
     FIRST_KEY,
     ChannelCore,
+    Gap,
     Offer,
     Query,
     ReadAnswer,
@@ -124,6 +125,9 @@ async def host(path: Path, store: SegmentStore | None, bytes_max: int = 2**30) -
 class Owner:
     """An owner of the channel, which serves it as a host does."""
 
+    gaps: list[Gap]
+    """The gaps of the last subscription, see `subscribed`."""
+
     def __init__(self, one: Host, epoch: int = 2) -> None:
         self.host, self.epoch = one, epoch
         self.recordings = Recordings()
@@ -171,11 +175,14 @@ class Owner:
 
     async def subscribed(self, start: Bound) -> tuple[list[int], int]:
         """The times of the items that a subscription gets, and the number of items that it dropped."""
+        self.gaps = list[Gap]()
+        lost_at = await self.recording.losses.places({"start": start}, self.now())
         where = self.recording.beginning({"start": start}, self.now())
-        cursor = run_to_end(self.hosted.channel.subscribing_all(self.now(), **where))
+        cursor = run_to_end(self.hosted.channel.subscribing_all(self.now(), **where, lost_at=lost_at))
         times: list[int] = []
-        for _ in range(20):
+        for _ in range(40):
             batch = await self.recording.since(cursor, 2**20, self.now)
             batch = self.hosted.channel.since(cursor, self.now(), 2**20) if batch is None else batch
+            self.gaps += [] if batch.gap is None else [batch.gap]
             times += [time for one in batch.slices for time in one.slice.run.times[one.slice.lo : one.slice.hi]]
         return times, cursor.dropped

@@ -119,6 +119,7 @@ class ChannelRecording:
         self._stream = stream = RecordingStream.of(
             self._session, self._state, start, name, held=True, from_first=from_first
         )
+        stream.names_losses = bool(self.tallies) or any(gap.reason == "LOST" for gap in looked)
         stream.begin_reading()
         if stream.opened_seq is None:
             return

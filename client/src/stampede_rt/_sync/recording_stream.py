@@ -49,7 +49,10 @@ class RecordingStream(Subscription):
     """A subscription that gives batches. It reads from the host, never from shared memory, which reports no gaps.
 
     `opened_seq` is the seq of the first item after the subscription began; None before the host has answered.
+    `names_losses`: the recording has a gap for the losses before the present incarnation already.
     """
+
+    names_losses = False
 
     def __init__(
         self, session: Session, state: ChannelState, opening: channel_pb.SubscribeOpen, reconnecting: StreamReconnector
@@ -133,7 +136,7 @@ class RecordingStream(Subscription):
             self._next_incarnation = response.opened.incarnation
             if self.opened_seq is None:
                 self.incarnation, self.opened_seq = response.opened.incarnation, response.opened.next_seq
-        if response.HasField("gap"):
+        if response.HasField("gap") and not (self.names_losses and self._is_archived_loss(response.gap)):
             self._batch.gaps.append(self._gap(response.gap))
         super()._take(response, runs)  # decodes the items; the advance follows them, and the gap is before them
         if response.HasField("progress") and response.progress.HasField("advance_unix_nano"):
@@ -143,8 +146,9 @@ class RecordingStream(Subscription):
                 self._batch.advance = (advance, response.progress.next_seq - 1)
 
     def _gap(self, gap: channel_pb.SubscriptionGap) -> RecordingGap:
-        # LOST without a number of items: the host was lost. LOST with a number: the archive lacks this many items.
-        if gap.reason == error_pb2.ABSENCE_REASON_LOST and not gap.items:
+        if self._is_archived_loss(gap):
+            return self._archived_loss(gap)
+        if _is_loss(gap):
             return self._loss(gap)
         return RecordingGap(
             channel=self._state.info.name,
@@ -155,6 +159,18 @@ class RecordingStream(Subscription):
             last_seq=gap.last_seq,
             items=gap.items,
         )
+
+    def _is_archived_loss(self, gap: channel_pb.SubscriptionGap) -> bool:
+        """Whether an owner was lost before the present incarnation. The items before and after the gap have it."""
+        return _is_loss(gap) and self.incarnation == self._next_incarnation
+
+    def _archived_loss(self, gap: channel_pb.SubscriptionGap) -> RecordingGap:
+        """Return the gap of a loss in the archive. No item has the seq before the gap."""
+        last_seq = gap.first_seq - 1
+        return RecordingGap(
+            channel=self._state.info.name, incarnation=self.incarnation, reason="LOST", detail=gap.detail,
+            first_seq=min(self.read_to + 1, last_seq), last_seq=last_seq,
+        )  # fmt: skip
 
     def _loss(self, gap: channel_pb.SubscriptionGap) -> RecordingGap:
         """Return the gap at the end of the present incarnation. The items after the gap belong to the next incarnation.
@@ -180,3 +196,8 @@ class RecordingStream(Subscription):
             return None
         future = MAX_FUTURE_DEFAULT_NANOS if future is None else future
         return min(time.time_ns() + clock.apart_nanos + future, MAX_INSTANT)
+
+
+def _is_loss(gap: channel_pb.SubscriptionGap) -> bool:
+    """Whether an owner was lost with an unknown number of items. With a number, the archive lacks the items."""
+    return gap.reason == error_pb2.ABSENCE_REASON_LOST and not gap.items

@@ -96,6 +96,25 @@ class History:
         assert set(found) <= set(self.times), "\n".join(self.steps)
         for time in [one for one in self.times if one not in found]:
             assert await self._read(owner, time, time) in (None, [time]), "\n".join(self.steps)
+        for start in self.times[:: max(1, len(self.times) // 4)]:
+            await self._check_subscription(owner, start)
+
+    async def _check_subscription(self, owner: Owner, start: int) -> None:
+        """Check that a subscription from `start` on gets each item once, and a gap if it lacks items. It gets no gap if
+        a get lacks none.
+        """
+        query = _between(start, owner.host.clock)
+        try:
+            answer, (found, _) = await owner.read(query), await owner.subscribed(query.interval.start)
+        except Unavailable:
+            assert self.store.failure or owner.recording._unknown is not None, "\n".join(self.steps)
+            return
+        self.steps.append(f"subscribe from {start}: {found} {owner.gaps}, a get: {answer.reason}")
+        wanted = [one for one in self.times if one >= start]
+        assert found == [one for one in wanted if one in found], "\n".join(self.steps)
+        has_rest = str(answer.reason) == "COLLECTED" and found == wanted[len(wanted) - len(found) :]
+        assert found == wanted or owner.gaps or has_rest, "\n".join(self.steps)
+        assert answer.reason or not owner.gaps, "\n".join(self.steps)
 
     async def _read(self, owner: Owner, start: int, end: int) -> list[int] | None:
         """The times of the items in an interval. None: the owner says that it cannot know them now, or LOST."""

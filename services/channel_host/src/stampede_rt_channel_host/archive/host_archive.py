@@ -294,21 +294,21 @@ class HostArchive:
         found = files.load_at_hand(segments, wanted, self._decode, past)
         if found is not None:
             return found
-        loop = asyncio.get_running_loop()
-        return await loop.run_in_executor(self._readers, files.load, segments, wanted, self._decode, _pause, past)
+        return await self.in_reader(files.load, segments, wanted, self._decode, _pause, past)
 
     async def past(self, files: SegmentFiles, segments: tuple[Segment, ...], as_of: int) -> PastArchive:
         """The segments as they were at an earlier instant. Looks at them in a thread. Raises OSError as `load`."""
-        loop = asyncio.get_running_loop()
-        return await loop.run_in_executor(self._readers, files.past, segments, as_of, self._decode)
+        return await self.in_reader(files.past, segments, as_of, self._decode)
 
     async def load_part(
         self, files: SegmentFiles, segments: tuple[Segment, ...], missing: tuple[int, int], bytes_max: int
     ) -> ArchivedPart:
         """Load items in the order of their seqs, in a thread. Raises OSError as `load`."""
-        loop = asyncio.get_running_loop()
-        arguments = (segments, missing, bytes_max, self._decode, _pause)
-        return await loop.run_in_executor(self._readers, files.load_part, *arguments)
+        return await self.in_reader(files.load_part, segments, missing, bytes_max, self._decode, _pause)
+
+    async def in_reader(self, call: Callable[..., Result], *arguments: object) -> Result:
+        """Call a function that reads files, in a thread. Raises OSError as `load`."""
+        return await asyncio.get_running_loop().run_in_executor(self._readers, call, *arguments)
 
     async def finish(
         self, recorders: Sequence[ChannelRecorder], boot_incarnation: int = 0, seconds_max: float = CLOSE_SECONDS_MAX

@@ -13,6 +13,7 @@ from stampede_rt_channel_host.core.archive import (
     HEAD_BYTES,
     NO_KEY,
     ArchivedAdvance,
+    ArchivedLoss,
     ArchivedPart,
     ArchivedRun,
     ArchiveWindow,
@@ -36,6 +37,7 @@ from stampede_rt_channel_host.core.archive import (
     doubts_in,
     holes,
     is_whole,
+    losses_in,
     part_of,
     past_of,
     reach_of,
@@ -158,6 +160,10 @@ class SegmentReads:
     def past(self, segments: Sequence[Segment], as_of: int, decode: Callable[[bytes], Run]) -> PastArchive:
         """The segments as they were at an earlier instant."""
         return past_of(segments, self._blocks_of, partial(self._all_runs_of, decode), self._advances_of, as_of)
+
+    def losses(self, segments: Sequence[Segment], since: int) -> list[ArchivedLoss]:
+        """The losses of owners with items that they had accepted after the instant `since`."""
+        return losses_in(segments, self._blocks_of, since)
 
     def load_part(
         self,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from stampede_rt.values.timeline import MetaTime
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder
 from stampede_rt_channel_host.core.archive import ArchiveSpan, needs_archive, resolved_now, span_of
-from stampede_rt_channel_host.core.channel import ChannelCore, Query
+from stampede_rt_channel_host.core.channel import ChannelCore, ItemKey, Query
 from stampede_rt_channel_host.core.group import Horizon, reaches_archive
 
 
@@ -79,7 +79,15 @@ class ArchiveReach:
             return None
         if held.newest_collected is None or within.start > held.newest_collected:
             return within.start, None
-        low, recorder = (within.start, 0), self._recorder
-        seqs = [one.first_seq for one in recorder.segments if one.high is not None and one.high >= low]
-        seqs += [recorder.archived_to] if recorder.lost_items else []
-        return within.start, min(seqs, default=None)
+        return within.start, self._first_archived_seq((within.start, 0))
+
+    def _first_archived_seq(self, low: ItemKey) -> int | None:
+        """The first seq in the archive of an item that may have a key from `low` on, also of a missing item."""
+        end_seq, seqs = 0, list[int]()
+        for one in self._recorder.segments:
+            if one.low is not None and one.high is not None:
+                if one.high >= low:  # the missing items before the segment may have times from the start on, too
+                    seqs.append(end_seq if end_seq and one.low > low else one.first_seq)
+                end_seq = one.end_seq
+        seqs += [self._recorder.archived_to] if self._recorder.lost_items else []
+        return min(seqs, default=None)

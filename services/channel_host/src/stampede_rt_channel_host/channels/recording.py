@@ -19,6 +19,7 @@ from stampede_rt_channel_host.archive.recorder import ChannelRecorder
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits
 from stampede_rt_channel_host.channels.archive_reach import ArchiveReach
 from stampede_rt_channel_host.channels.archive_status import archive_status
+from stampede_rt_channel_host.channels.archived_losses import ArchivedLosses
 from stampede_rt_channel_host.channels.opened_archives import OpenedChannelArchive
 from stampede_rt_channel_host.channels.past_reads import RETRY_SECONDS, TRIES, PastReader, tried
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
@@ -81,6 +82,7 @@ class Recording:
             channel, opened.files, opened.found.segments, opened.disk, from_memory=from_memory
         )
         self._reach = ArchiveReach(self.recorder, channel)
+        self.losses = ArchivedLosses(archive, self.recorder, self._reach, channel)
         held = channel.held
         # the times of the latest items that the archive will not have
         earlier = [held.newest_collected, *([] if from_memory else [held.newest])]
@@ -252,6 +254,9 @@ class Recording:
         if missing is not None and missing[0] >= self.recorder.archived_to:
             await self.recorder.settle(missing[1])
             missing = self._channel.missing(cursor, now())
+        if missing is not None and cursor.losses:  # the reader learns of the next loss between the items
+            end = min(missing[1], cursor.losses[0].next_seq)
+            missing = (missing[0], end) if missing[0] < end else None
         if missing is None:
             return None
         if missing[0] >= self.recorder.archived_to:  # memory has lost the items before a write had them

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.values.timeline import Interval
@@ -88,8 +88,17 @@ async def files_came(hosted: HostedChannel, opening: pb.SubscribeOpen, now: int)
         await hosted.recording.settle_start(start, now)
 
 
-def open_cursor(hosted: HostedChannel, opening: pb.SubscribeOpen, now: int) -> Pieces[Cursor]:
-    """A cursor at the place that `opening` states, as of `now`, made in pieces.
+async def losses_at(hosted: HostedChannel, opening: pb.SubscribeOpen, now: int) -> list[int]:
+    """The places of the losses that the reader does not know, see `ArchivedLosses`. Call it before `open_cursor`."""
+    if hosted.recording is None or is_newest(opening):
+        return []
+    return await hosted.recording.losses.places(beginning_of(opening), now)
+
+
+def open_cursor(
+    hosted: HostedChannel, opening: pb.SubscribeOpen, now: int, lost_at: Iterable[int] = ()
+) -> Pieces[Cursor]:
+    """A cursor at the place that `opening` states, as of `now`, made in pieces. `lost_at`: see `losses_at`.
 
     Raises InvalidArgument for an unusable place, IncarnationLost for a place of another incarnation, and StaleBinding
     (MOVED) if only the owner has the archive of the first items.
@@ -102,4 +111,4 @@ def open_cursor(hosted: HostedChannel, opening: pb.SubscribeOpen, now: int) -> P
         where = hosted.recording.beginning(where, now)
     elif start is not None:
         copied_archives.check_read(hosted, Query(interval=Interval(start, start)), now)
-    return _AllModeCursor(channel, (yield from channel.subscribing_all(now, **where)))
+    return _AllModeCursor(channel, (yield from channel.subscribing_all(now, **where, lost_at=lost_at)))

@@ -23,7 +23,7 @@ from stampede_rt_channel_host.channels.requests import parse, saved_to, wanted_n
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.channels.subscriptions.credit import Credit, requests_of
-from stampede_rt_channel_host.channels.subscriptions.cursors import files_came, open_cursor
+from stampede_rt_channel_host.channels.subscriptions.cursors import files_came, losses_at, open_cursor
 from stampede_rt_channel_host.channels.subscriptions.multicast_reader import MulticastReader, offers_multicast
 from stampede_rt_channel_host.channels.subscriptions.reader_drops import ReaderDrops
 from stampede_rt_channel_host.core.channel import Gap, SavedCursor, SubscriptionBatch
@@ -111,7 +111,8 @@ class Subscription(ChangeObserver):
                     await self._serve(cursor, opening)
             else:
                 await files_came(self._hosted, opening, self._store.now())
-                cursor = await self._store.scheduler.do(open_cursor(self._hosted, opening, self._store.now()))
+                lost_at = await losses_at(self._hosted, opening, self._store.now())
+                cursor = await self._store.scheduler.do(open_cursor(self._hosted, opening, self._store.now(), lost_at))
                 # The channel may have left the host meanwhile.
                 self._store.find_readable(opening.channel_id, opening.epoch, Freshness())
                 with self._multicast.joined(self._store.multicasts, self._hosted, opening):

@@ -52,6 +52,7 @@ from stampede_rt_channel_host.core.archive.block import (
 )
 from stampede_rt_channel_host.core.archive.doubts import Doubt, doubts_in
 from stampede_rt_channel_host.core.archive.holes import Hole, WindowReach, border_holes, holes
+from stampede_rt_channel_host.core.archive.losses import ArchivedLoss, losses_in
 from stampede_rt_channel_host.core.archive.past_archive import (
     NextItems,
     PastArchive,
@@ -101,6 +102,7 @@ __all__ = [
     "ArchiveSpan",
     "ArchiveWindow",
     "ArchivedAdvance",
+    "ArchivedLoss",
     "ArchivedPart",
     "ArchivedRead",
     "ArchivedRun",
@@ -143,6 +145,7 @@ __all__ = [
     "is_nothing_left",
     "is_whole",
     "lacked",
+    "losses_in",
     "needs_archive",
     "next_time_of",
     "nothing_left",

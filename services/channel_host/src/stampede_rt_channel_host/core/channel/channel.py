@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from stampede_rt.errors import InFuture, InvalidArgument
 from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import Bound, format_duration
@@ -154,17 +156,24 @@ class ChannelCore(ConsumedChannel):
 
     def subscribing_all(
         self, now: int, *, start: Bound | None = None, start_exclusive: bool = False, after: Position | None = None,
-        saved: SavedCursor | None = None, archived_from: int | None = None,
+        saved: SavedCursor | None = None, archived_from: int | None = None, lost_at: Iterable[int] = (),
     ) -> Pieces[AllCursor]:  # fmt: skip
-        """Like `subscribe_all`, but in pieces. The cursor is as of `now`. `archived_from`: see `open_all`."""
+        """Like `subscribe_all`, but in pieces. The cursor is as of `now`. `archived_from`: see `open_all`.
+
+        `lost_at`: the first seqs of owners that followed a lost one. Beginning at `start` or `saved`, the reader has
+        not learned of these losses yet.
+        """
+        archived = tuple(FormerIncarnation(self.incarnation, seq) for seq in lost_at)
         if saved is not None:
             self._check_saved(saved)
             self._age_and_free(self._tick(now))
-            return resume_all(self._held, saved, self._losses_since(saved.incarnation))
+            is_present = saved.incarnation == self.incarnation
+            losses = archived if is_present else self._losses_since(saved.incarnation)
+            return resume_all(self._held, saved, losses, is_present=is_present)
         after_key = self._resume_key(start, after)
         low = self._start_key(start, start_exclusive, now)
         after_seq = None if after_key is None else after_key[1]
-        losses = () if after is None else self._losses_since(after.incarnation)
+        losses = archived if after is None else self._losses_since(after.incarnation)
         return open_all(self._held, low, after_seq, archived_from, losses)
 
     def missing(self, cursor: AllCursor, now: int) -> tuple[int, int] | None:

@@ -19,6 +19,11 @@ class FormerIncarnation(NamedTuple):
     next_seq: int
 
 
+LostPlaces = tuple[FormerIncarnation, ...]
+"""The losses that a reader does not know yet, the earliest first. If an archive shows a loss, `incarnation` is the
+present one, and `next_seq` is the first seq of the owner after the loss."""
+
+
 class Losses(NamedTuple):
     """The items that a channel has lost with former owners.
 

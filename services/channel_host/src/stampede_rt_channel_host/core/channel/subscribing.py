@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from itertools import chain, islice
 
 from stampede_rt.values.model import Reason
-from stampede_rt.values.seq_starts import given_between
+from stampede_rt.values.seq_starts import given_between, is_start
 from stampede_rt_channel_host.core.channel import pieces
-from stampede_rt_channel_host.core.channel.former_incarnations import FormerIncarnation
+from stampede_rt_channel_host.core.channel.former_incarnations import LostPlaces
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
@@ -26,8 +26,6 @@ So a reader that is far behind does not delay other callers. Such a reader gets 
 
 
 _NOTHING = SubscriptionBatch()
-
-LostPlaces = tuple[FormerIncarnation, ...]
 
 
 class AllCursor:
@@ -69,9 +67,11 @@ class AllCursor:
 
     def saved(self, incarnation: int) -> SavedCursor:
         """The cursor from which another subscription continues. It has the former incarnation until the reader knows of
-        the loss.
+        the loss. If the archive shows the loss, it has a seq below the loss instead.
         """
         next_seq = self.next_seq
+        if self.losses and self.losses[0].incarnation == incarnation:
+            next_seq = min(next_seq, self.losses[0].next_seq - 1)
         incarnation = self.losses[0].incarnation if self.losses else incarnation
         if self._low is None or next_seq >= self._begun_seq:
             return SavedCursor(incarnation=incarnation, next_seq=next_seq)
@@ -147,19 +147,23 @@ def open_all(
         return AllCursor(iter(()), next_seq)
     if archived_from is not None:
         owed = [(archived_from, next_seq)] if archived_from < next_seq else []
-        return AllCursor(iter(owed), next_seq, low, next_seq)
+        return AllCursor(iter(owed), next_seq, low, next_seq, losses)
     ranges = yield from owed_ranges(held, low)
-    return AllCursor(iter(ranges), next_seq, low, next_seq)
+    return AllCursor(iter(ranges), next_seq, low, next_seq, losses)
 
 
-def resume_all(held: Holdings, saved: SavedCursor, losses: LostPlaces = ()) -> Pieces[AllCursor]:
-    """A cursor that continues a saved subscription. `losses`: see `AllCursor`.
+def resume_all(
+    held: Holdings, saved: SavedCursor, losses: LostPlaces = (), *, is_present: bool = False
+) -> Pieces[AllCursor]:
+    """A cursor that continues a saved subscription. `losses`: see `AllCursor`. `is_present`: the cursor is of the
+    present incarnation.
 
     If retention has collected items at or above the saved `low`, the host does not know whether they belonged to the
     subscription. Then all seqs from `next_seq` on count as the subscription's, and the missing seqs as collected before
     the reader took them. So the gaps may count too many items, but never too few.
     """
-    end = losses[0].next_seq if losses else held.next_seq  # newer items have the same seqs as lost ones
+    # newer items have the same seqs as lost items of a former incarnation
+    end = losses[0].next_seq if losses and not is_present else held.next_seq
     first, live = min(saved.next_seq, end), min(saved.live_seq, end)
     low = saved.low if first < live else None
     live_from = live
@@ -286,7 +290,9 @@ def _gap(limits: ChannelLimits, held: Holdings, first: int, last: int) -> Gap:
 
 def lost_gap(next_seq: int) -> Gap:
     """The gap for items that were lost with the owner of the channel. Their number is unknown."""
-    detail = (
-        f"the channel's host was lost, and a replica had its items up to seq {next_seq - 1}; later ones may be lost"
-    )
+    if is_start(next_seq):
+        detail = "the channel's host was lost, and the archive may lack the last items that it had accepted"
+    else:
+        copied = f"a replica had its items up to seq {next_seq - 1}"
+        detail = f"the channel's host was lost, and {copied}; later ones may be lost"
     return Gap(first_seq=next_seq, last_seq=next_seq, items=0, reason=Reason("LOST", detail))

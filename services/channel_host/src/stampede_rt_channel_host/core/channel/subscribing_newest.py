@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from stampede_rt.values.seq_starts import given_between
+from stampede_rt_channel_host.core.channel.former_incarnations import LostPlaces
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.run import Slice
-from stampede_rt_channel_host.core.channel.subscribing import LostPlaces, lost_gap
+from stampede_rt_channel_host.core.channel.subscribing import lost_gap
 from stampede_rt_channel_host.core.channel.values import DeliveredSlice, Gap, SavedCursor
 
 
