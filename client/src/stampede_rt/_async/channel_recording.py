@@ -169,11 +169,9 @@ class ChannelRecording:
         if not found.truncated:
             return Bound(None, begins), []
         ends = found[0].time if found else None
-        until = "" if ends is None else f"; its oldest item is of {format_instant(ends)}"
         gap = RecordingGap(
             channel=self.name, incarnation=found.incarnation, reason="COLLECTED", start=begins, end=ends,
-            detail=f"the channel no longer held all items since {format_instant(begins)}{until}; give it a longer "
-            "max_age, or record less of the past",
+            detail=_collected_text(begins, ends),
         )  # fmt: skip
         return Bound(None, begins), [gap]
 
@@ -311,3 +309,12 @@ class ChannelRecording:
 def reason_of(error: StampedeError) -> str:
     """Return the reason of the gap after the last item that the recording could read before `error`."""
     return "DELETED" if isinstance(error, ChannelNotFound) else "UNAVAILABLE"
+
+
+def _collected_text(begins: int, oldest: int | None) -> str:
+    """The text of the gap of a channel that lacks items since the instant `begins`. `oldest`: its oldest time."""
+    until = "" if oldest is None else f"; its oldest item is of {format_instant(oldest)}"
+    return (
+        f"the channel no longer held all items since {format_instant(begins)}{until}; give it a longer max_age, or "
+        "record less of the past"
+    )

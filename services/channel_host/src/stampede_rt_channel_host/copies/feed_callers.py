@@ -30,7 +30,5 @@ class FeedCallers:
         if len(self._names) < NAMES_MAX:
             self._names[host_id] = name
         if caller.name != name:
-            raise PermissionDenied(
-                f"{caller} cannot act as host {name}: its certificate must contain that name, "
-                "because a host speaks only for itself"
-            )
+            reason = "its certificate must contain that name, because a host speaks only for itself"
+            raise PermissionDenied(f"{caller} cannot act as host {name}: {reason}")

@@ -34,9 +34,7 @@ class SharedReads:
     async def confirm(self, timeout: float) -> int | None:
         """An applied index that includes every write acknowledged before this call.
 
-        None if the time is up, or the log closes.
-
-        Raises LogUnavailable if too many callers wait.
+        None if the time is up, or the log closes. Raises LogUnavailable if too many callers wait.
         """
         if len(self._waiting) >= self._waiting_max:
             raise LogUnavailable(f"{self._waiting_max} reads wait already: slow down and try again")
