@@ -105,10 +105,10 @@ def test_credit_is_limited_however_much_a_reader_grants() -> None:
     for _ in range(3):
         credit.grant(2**64 - 1)
     credit.grant(0)
-    assert (credit.left, len(grants), credit.is_over) == (CREDIT_MAX, 3, False)
+    assert (credit.amount_left, len(grants), credit.is_over) == (CREDIT_MAX, 3, False)
     credit.spend(CREDIT_MAX + 5)
     credit.end()
-    assert (credit.left, credit.is_over) == (-5, True)
+    assert (credit.amount_left, credit.is_over) == (-5, True)
 
 
 def test_credit_for_one_response_replaces_the_rest_and_ends_with_the_response() -> None:
@@ -116,17 +116,17 @@ def test_credit_for_one_response_replaces_the_rest_and_ends_with_the_response() 
     credit.grant(500)
     credit.grant(1000, one_response=True)
     credit.grant(1000, one_response=True)
-    assert credit.left == 1000
+    assert credit.amount_left == 1000
     credit.spend(0)  # a response without items
-    assert credit.left == 1000
+    assert credit.amount_left == 1000
     credit.spend(70)
-    assert credit.left == 0
+    assert credit.amount_left == 0
     credit.grant(1000, one_response=True)
     credit.grant(10)
-    assert credit.left == 10
+    assert credit.amount_left == 10
     credit.grant(10)
     credit.spend(5)
-    assert credit.left == 15
+    assert credit.amount_left == 15
 
 
 async def test_a_response_uses_up_the_credit_that_is_for_one_response(rig: Rig) -> None:

@@ -124,7 +124,7 @@ class DrainTrial:
         number = self.owner_number()
         self.faults.break_soon(lambda link: link.cut())
         drained = await self.cluster.hosts[number].drain(DRAIN_SECONDS_MAX)
-        assert not drained.left, f"a drain left channels: {drained.left}"
+        assert not drained.unmoved, f"a drain left channels: {drained.unmoved}"
         assert not self.cluster.owned_channels(number)
         self.moved += drained.moved
 

@@ -52,7 +52,7 @@ class Presence:
         self._name = name
         self._lease_s = 0.0
         self._wake = Signal()
-        self._left = False
+        self._has_left = False
         self._registered = False
         self._failures = 0  # failed renewals and registrations since the last success
         self._background: BackgroundTask | None = None
@@ -153,10 +153,10 @@ class Presence:
         self._wake.set()
 
     async def _keep(self) -> None:
-        while not self._left and self.error is None:
+        while not self._has_left and self.error is None:
             await self._wake.wait(self._lease_s / RENEWALS_IN_LEASE * (0.75 + random.random() / 4))
             self._wake.clear()
-            if not self._left:
+            if not self._has_left:
                 await self._renew_or_register()
 
     async def _renew_or_register(self) -> None:
@@ -230,7 +230,7 @@ class Presence:
 
         If the call fails, only logs the error. The directory then does both when the lease ends.
         """
-        self._left = True
+        self._has_left = True
         self._wake.set()
         if self._background is not None:
             await self._background.join(LEAVE_TIMEOUT_S)

@@ -53,7 +53,7 @@ class Presence:
         self._name = name
         self._lease_s = 0.0
         self._wake = Signal()
-        self._left = False
+        self._has_left = False
         self._registered = False
         self._failures = 0  # failed renewals and registrations since the last success
         self._background: BackgroundTask | None = None
@@ -154,10 +154,10 @@ class Presence:
         self._wake.set()
 
     def _keep(self) -> None:
-        while not self._left and self.error is None:
+        while not self._has_left and self.error is None:
             self._wake.wait(self._lease_s / RENEWALS_IN_LEASE * (0.75 + random.random() / 4))
             self._wake.clear()
-            if not self._left:
+            if not self._has_left:
                 self._renew_or_register()
 
     def _renew_or_register(self) -> None:
@@ -231,7 +231,7 @@ class Presence:
 
         If the call fails, only logs the error. The directory then does both when the lease ends.
         """
-        self._left = True
+        self._has_left = True
         self._wake.set()
         if self._background is not None:
             self._background.join(LEAVE_TIMEOUT_S)

@@ -244,7 +244,7 @@ async def test_a_replica_without_credit_gets_nothing_in_the_turn_of_the_put() ->
         stream = one.hosted.replication
         assert stream is not None
         [feed] = stream._feeds.values()
-        feed._credit.left = 0  # type: ignore[attr-defined]
+        feed._credit.amount_left = 0  # type: ignore[attr-defined]
         assert one.put() == []
 
 

@@ -228,10 +228,10 @@ async def test_a_proxy_without_credit_gets_nothing_and_then_misses_the_collected
         for _ in range(2):
             await proxy.take(await source.after_put())
         [stream] = [one for one in source.hosted.group_observers if isinstance(one, FeedStream)]
-        stream._credit.left = CHARGE_BYTES + 1
+        stream._credit.amount_left = CHARGE_BYTES + 1
         await proxy.take(await source.after_put())
         await proxy.take(await source.after_put())
-        assert stream._credit.left == 1 - CHARGE_BYTES, "one message may exceed the credit"
+        assert stream._credit.amount_left == 1 - CHARGE_BYTES, "one message may exceed the credit"
         for _ in range(4):
             source.put()
         await proxy.take(*await source.messages())

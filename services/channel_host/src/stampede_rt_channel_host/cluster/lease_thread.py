@@ -143,10 +143,10 @@ def _run_loop(loop: asyncio.AbstractEventLoop, tell_end: Callable[[], object]) -
     try:
         loop.run_forever()
     finally:
-        left = asyncio.all_tasks(loop)
-        for task in left:
+        unfinished_tasks = asyncio.all_tasks(loop)
+        for task in unfinished_tasks:
             task.cancel()
-        loop.run_until_complete(asyncio.gather(*left, return_exceptions=True))
+        loop.run_until_complete(asyncio.gather(*unfinished_tasks, return_exceptions=True))
         loop.close()
         with contextlib.suppress(RuntimeError):  # the serving loop has been closed
             tell_end()

@@ -315,11 +315,11 @@ class Registration:
         if self._fence is not None:
             self._fence.cancel()
             self._fence = None
-        left = self._lease.fenced_in_nanos(self._clock.boottime_nanos())
-        if left:
+        lease_nanos_left = self._lease.fenced_in_nanos(self._clock.boottime_nanos())
+        if lease_nanos_left:
             # The timer fires a little late, when the clock has passed the fence. Each request checks the clock itself.
-            self._fence = asyncio.get_running_loop().call_later(left / 1e9 + 0.001, self._check_fence)
-        self._report_lease(held=left > 0)
+            self._fence = asyncio.get_running_loop().call_later(lease_nanos_left / 1e9 + 0.001, self._check_fence)
+        self._report_lease(held=lease_nanos_left > 0)
 
     def _report_lease(self, *, held: bool) -> None:
         if held is not self._reported_held:

@@ -26,12 +26,12 @@ class FeedWriter:
     @property
     def limit_bytes(self) -> int:
         """The most bytes of items in the next message."""
-        return max(0, min(self._credit.left, MESSAGE_BYTES_MAX))
+        return max(0, min(self._credit.amount_left, MESSAGE_BYTES_MAX))
 
     @property
     def write_now(self) -> Callable[[Sendable], None] | None:
         """Writes a message in this turn of the event loop. None if the next part of the feed has to wait."""
-        may_write = self._credit.left > 0 and not self._work.must_wait
+        may_write = self._credit.amount_left > 0 and not self._work.must_wait
         return write_now(self._context) if may_write else None
 
     def spend(self, charge_bytes: int) -> None:

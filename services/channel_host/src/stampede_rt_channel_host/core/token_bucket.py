@@ -8,11 +8,11 @@ class TokenBucket:
 
     def __init__(self, rate: float, burst: float, now_s: float) -> None:
         self._rate, self._burst = rate, burst
-        self._left, self._at_s = burst, now_s
+        self._tokens_left, self._at_s = burst, now_s
 
     def spend(self, size: int, now_s: float) -> float:
         """Take `size` bytes. Returns the seconds that the caller must wait before it sends them; 0: none."""
-        self._left = min(self._burst, self._left + (now_s - self._at_s) * self._rate)
+        self._tokens_left = min(self._burst, self._tokens_left + (now_s - self._at_s) * self._rate)
         self._at_s = now_s
-        self._left -= size
-        return max(0.0, -self._left / self._rate)
+        self._tokens_left -= size
+        return max(0.0, -self._tokens_left / self._rate)

@@ -208,7 +208,7 @@ class CutEvents:
             await self._writer.turn()
             self._follow(group)
             boundary = self._due_boundary(group, decider) if decider is not None else self._next_boundary(group)
-            wanted = self._credit.left > 0 or bool(self._boundaries)
+            wanted = self._credit.amount_left > 0 or bool(self._boundaries)
             if boundary is not None:
                 if decider is not None:
                     self._credit.spend(1)
@@ -222,13 +222,13 @@ class CutEvents:
 
     def _is_over(self, decider: EventDecider | None) -> bool:
         """Whether the reader has closed its side, and has got everything that it asked for."""
-        return self._credit.is_final and not self._boundaries and (decider is None or self._credit.left <= 0)
+        return self._credit.is_final and not self._boundaries and (decider is None or self._credit.amount_left <= 0)
 
     def _due_boundary(self, group: HostedGroup, decider: EventDecider) -> Boundary | None:
         """The boundary of the event that is due. None without credit: the cuts that come meanwhile make one event."""
         now = self._groups.channels.now()
         decider.note(group.cut.cut, now)
-        if decider.wake_at() is None or self._credit.left <= 0:
+        if decider.wake_at() is None or self._credit.amount_left <= 0:
             return None
         return decider.due(group.members(), now)
 

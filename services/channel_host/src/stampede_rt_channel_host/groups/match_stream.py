@@ -131,7 +131,9 @@ class MatchStream:
                 continue
             holds = counted is not None or all(remote.is_followed for remote, _ in self._remote.values())
             has_changed = bool(found) or (holds and counted != (matcher.unmatched, matcher.dropped))
-            wanted = counted is None or self._credit.left > 0  # without credit the stream takes and sends nothing
+            wanted = (
+                counted is None or self._credit.amount_left > 0
+            )  # without credit the stream sends nothing
             if not (has_changed and (found or wanted)) and (self._writer.silence_left_s > 0 or not wanted):
                 await self._waiter.wait(self._writer.silence_left_s if wanted else None)
                 continue
@@ -179,7 +181,7 @@ class MatchStream:
         Raises Unavailable if an archive cannot be read.
         """
         taken: list[FoundMatch] = []
-        credit = min(self._credit.left, MESSAGE_BYTES_MAX)
+        credit = min(self._credit.amount_left, MESSAGE_BYTES_MAX)
         while True:
             most = MATCHES_PER_MESSAGE_MAX - len(taken) if credit > 0 else 0
             try:

@@ -93,7 +93,7 @@ class HostedQueue(ReplicatedQueue):
         self._now = now
         self._on_dead_letters = on_dead_letters
         self._streams: dict[TakerState, TakerStream] = {}
-        self._left = asyncio.Event()  # set when a stream has ended
+        self._stream_ended = asyncio.Event()  # set when a stream has ended
         self._waiting: dict[Enqueue, asyncio.Future[None]] = {}
         self._timer: asyncio.TimerHandle | None = None
         self._timer_due: int | None = None
@@ -132,8 +132,8 @@ class HostedQueue(ReplicatedQueue):
         try:
             async with asyncio.timeout(STREAMS_END_SECONDS_MAX):
                 while self._streams:
-                    self._left.clear()
-                    await self._left.wait()
+                    self._stream_ended.clear()
+                    await self._stream_ended.wait()
         except TimeoutError:
             raise Overloaded(f"the streams of queue {display_name(self.record)} did not end; move it again") from None
         self.moving.is_held = True
@@ -215,7 +215,7 @@ class HostedQueue(ReplicatedQueue):
         messages that were not sent.
         """
         stream = self._streams.pop(taker)
-        self._left.set()
+        self._stream_ended.set()
         if self.replication is not None:
             self.replication.forget(taker)
             self.replication.forget(stream)

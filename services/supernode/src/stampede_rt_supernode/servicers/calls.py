@@ -47,10 +47,10 @@ Op = TypeVar("Op", bound=commands.Operation)
 
 def seconds_left(context: Context) -> float:
     """The seconds that this call may wait for the other supernodes."""
-    left = context.time_remaining()
-    if left is None:
+    call_seconds = context.time_remaining()
+    if call_seconds is None:
         return WAIT_SECONDS_MAX
-    return float(min(WAIT_SECONDS_MAX, max(left - ANSWER_SECONDS, left / 2)))
+    return float(min(WAIT_SECONDS_MAX, max(call_seconds - ANSWER_SECONDS, call_seconds / 2)))
 
 
 def check_age(context: Context) -> None:

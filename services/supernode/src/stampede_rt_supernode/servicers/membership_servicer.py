@@ -225,7 +225,7 @@ def _member(id_field: str, supernode_id: str, target_field: str, target: str) ->
 
 def _seconds(context: Context) -> float:
     """The seconds that this call may wait for the newcomer and the other supernodes."""
-    left = context.time_remaining()
-    if left is None:
+    call_seconds = context.time_remaining()
+    if call_seconds is None:
         return WAIT_SECONDS_MAX
-    return float(min(WAIT_SECONDS_MAX, max(left - ANSWER_SECONDS, left / 2)))
+    return float(min(WAIT_SECONDS_MAX, max(call_seconds - ANSWER_SECONDS, call_seconds / 2)))

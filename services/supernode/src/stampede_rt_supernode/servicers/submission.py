@@ -136,15 +136,15 @@ class Submission:
         """Repeat `attempt` until `deadline`. The errors name `seconds`, the time that the caller gave."""
         self.check_state()
         backoff, ambiguous = BACKOFF_SECONDS_MIN, False
-        while (left := deadline - time.monotonic()) > 0 and not self._closed:
+        while (seconds_left := deadline - time.monotonic()) > 0 and not self._closed:
             try:
-                return await attempt(min(left, ATTEMPT_SECONDS_MAX))
+                return await attempt(min(seconds_left, ATTEMPT_SECONDS_MAX))
             except LogUnavailable:
                 pass  # certainly not done by this attempt; an earlier attempt may still be under way
             except OutcomeUnknown:
                 ambiguous = True
-            left = deadline - time.monotonic()
-            await asyncio.sleep(max(0.0, min(left, backoff * random.uniform(0.5, 1.0))))
+            seconds_left = deadline - time.monotonic()
+            await asyncio.sleep(max(0.0, min(seconds_left, backoff * random.uniform(0.5, 1.0))))
             backoff = min(2 * backoff, BACKOFF_SECONDS_MAX)
         if ambiguous:
             raise _unknown(seconds)

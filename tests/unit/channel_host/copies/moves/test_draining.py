@@ -184,7 +184,7 @@ async def test_a_drain_ends_if_all_other_hosts_are_silent_and_lets_its_host_do_o
     """In an earlier version, the drain went from one host to the other for ever, without a pause."""
     monkeypatch.setattr(draining, "BEGIN_SECONDS_MAX", 0.01)
     monkeypatch.setattr("tests.unit.channel_host.copies.moves.test_draining.SECONDS_MAX", 1.0)
-    left = (await drained(1, Host(is_frozen=True), Host(is_frozen=True))).left
+    left = (await drained(1, Host(is_frozen=True), Host(is_frozen=True))).unmoved
     assert [*left] == ["cam/0"]
 
 
@@ -305,6 +305,6 @@ async def test_a_drain_warns_only_of_items_that_are_lost(
 ) -> None:
     """In an earlier version, a recorded channel whose host stopped alone gave a warning, although nothing was lost."""
     caplog.set_level("INFO", draining.logger.name)
-    assert [*(await drained(1, **state)).left] == ["cam/0"]
+    assert [*(await drained(1, **state)).unmoved] == ["cam/0"]
     messages = [f"{one.levelname} {one.message}" for one in caplog.records]
     assert messages == [logged][: bool(logged)]

@@ -299,9 +299,9 @@ class SegmentMover:
         served = [name for files in self._recorders if (name := await self.in_writer(files.name_of_stop)) is not None]
         stops: dict[str, Callable[[], None]] = dict.fromkeys(served, _nothing)
         stops.update(await self.in_writer(self._leftovers.stops))
-        left = [one for one in stops.items() if one[0] not in self._reported]
-        for at in range(0, len(left), STOPS_IN_PARALLEL):
-            some = left[at : at + STOPS_IN_PARALLEL]
+        unreported_stops = [one for one in stops.items() if one[0] not in self._reported]
+        for at in range(0, len(unreported_stops), STOPS_IN_PARALLEL):
+            some = unreported_stops[at : at + STOPS_IN_PARALLEL]
             ends = await asyncio.gather(*(self._note_stop(*one) for one in some), return_exceptions=True)
             for failure in (one for one in ends if isinstance(one, BaseException)):
                 raise failure

@@ -68,7 +68,7 @@ class Subscription(ChangeObserver):
 
     def wake(self) -> None:
         """Note that there may be items to send."""
-        if self._credit.left > 0:
+        if self._credit.amount_left > 0:
             self._look()
 
     def _look(self) -> None:
@@ -171,7 +171,7 @@ class Subscription(ChangeObserver):
             return cursor
         place = self._multicast.begin_repair(saved.incarnation)  # the reader may still know only the former incarnation
         self._owes_progress = True  # the answer if there is no item
-        self._credit.left = self._multicast.repair_bytes
+        self._credit.amount_left = self._multicast.repair_bytes
         return await self._store.scheduler.do(open_cursor(self._hosted, place, self._store.now()))
 
     async def _step(self, cursor: Cursor, *, without_payloads: bool) -> None:
@@ -179,14 +179,14 @@ class Subscription(ChangeObserver):
 
         Without credit, only waits for credit: the cursor stays where it is, and the reader gets nothing.
         """
-        if self._credit.left <= 0:
+        if self._credit.amount_left <= 0:
             await self._wait_for_change(None)
             return
         if self._work.must_wait:
             await self._work.turn()
         self.listen()
         now = self._store.now()
-        part = await self._take(cursor, now, min(self._credit.left, MESSAGE_BYTES_MAX))
+        part = await self._take(cursor, now, min(self._credit.amount_left, MESSAGE_BYTES_MAX))
         if part.gap is not None or cursor.skipped != self._drops.skipped:
             self._drops.count(self._drops.collected + (part.gap.items if part.gap else 0), cursor.skipped)
         if not part.is_empty:
@@ -247,7 +247,7 @@ class Subscription(ChangeObserver):
         saved, fields = cursor.saved, b""
         if self._multicast.is_joined:
             if self._multicast.is_owed:
-                self._credit.left = 0  # the reader wants no further response
+                self._credit.amount_left = 0  # the reader wants no further response
             fields = self._multicast.encoded_fields()
         self._owes_cursor = saved is None  # a group has no cursor while it shows the items up to a new cut
         if saved is None or saved == self._sent_cursor:

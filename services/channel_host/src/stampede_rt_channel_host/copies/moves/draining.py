@@ -48,7 +48,7 @@ class DrainResult(NamedTuple):
     """The number of channels and queues that have moved, and the others by name, with the reasons."""
 
     moved: int
-    left: dict[str, str]
+    unmoved: dict[str, str]
 
 
 class HostDrain:
@@ -79,61 +79,61 @@ class HostDrain:
         end of moves to this host that were under way. The drain then moves these channels and queues, too.
         """
         own: dict[bytes, OwnSubject] = {}
-        left: dict[bytes, str] = {}
-        self._add_own(own, left)
+        unmoved: dict[bytes, str] = {}
+        self._add_own(own, unmoved)
         try:
             async with asyncio.timeout(seconds):
                 if own:
-                    await self._move_all(own, left, arrivals)
+                    await self._move_all(own, unmoved, arrivals)
                 else:
                     await _wait_for(arrivals)
-                while arrivals and (arrived := self._add_own(own, left)):  # each channel and queue once
-                    await self._move_all(arrived, left)
+                while arrivals and (arrived := self._add_own(own, unmoved)):  # each channel and queue once
+                    await self._move_all(arrived, unmoved)
         except TimeoutError:
             pass
         except StampedeError as error:
-            left.update(dict.fromkeys(left, str(error)))
+            unmoved.update(dict.fromkeys(unmoved, str(error)))
         finally:  # also if a second signal cancels the drain
             if arrivals:
-                self._add_own(own, left)
-            moved = len(own) - len(left)
-            _log_outcome(moved, {own[one]: why for one, why in left.items()}, is_last=bool(arrivals))
-        return DrainResult(moved, {own[one].name: why for one, why in left.items()})
+                self._add_own(own, unmoved)
+            moved = len(own) - len(unmoved)
+            _log_outcome(moved, {own[one]: why for one, why in unmoved.items()}, is_last=bool(arrivals))
+        return DrainResult(moved, {own[one].name: why for one, why in unmoved.items()})
 
-    def _add_own(self, own: dict[bytes, OwnSubject], left: dict[bytes, str]) -> dict[bytes, OwnSubject]:
-        """Add the channels and queues that this host owns to `own` and `left`. Returns the added ones."""
+    def _add_own(self, own: dict[bytes, OwnSubject], unmoved: dict[bytes, str]) -> dict[bytes, OwnSubject]:
+        """Add the channels and queues that this host owns to `own` and `unmoved`. Returns the added ones."""
         added = {one: subject for one, subject in owned_by(self._store, self._queues).items() if one not in own}
         own |= added
-        left |= dict.fromkeys(added, "the drain ended before the move")
+        unmoved |= dict.fromkeys(added, "the drain ended before the move")
         return added
 
     async def _move_all(
         self,
         own: dict[bytes, OwnSubject],
-        left: dict[bytes, str],
+        unmoved: dict[bytes, str],
         arrivals: Sequence[Callable[[], Awaitable[None]]] = (),
     ) -> None:
         """Move the channels and queues of `own`, and the ones that are here after `arrivals`.
 
-        Removes each moved one from `left`, and enters there the reason for each other one.
+        Removes each moved one from `unmoved`, and enters there the reason for each other one.
         """
         hosts = await self._directory.other_hosts()
         if not hosts:
-            left.update(dict.fromkeys(own, "there is no other live host"))
+            unmoved.update(dict.fromkeys(own, "there is no other live host"))
             return
         others = _OtherHosts(hosts, self._dial, self._dial_streams, self._allow)
 
         def begin(subjects: dict[bytes, OwnSubject]) -> None:
             places = spread(connected_sets({one: self._groups_of(one) for one in subjects}), hosts)
             for one in subjects.values():
-                moves.create_task(_move(one, places[one.id], others, left))
+                moves.create_task(_move(one, places[one.id], others, unmoved))
 
         try:
             async with asyncio.TaskGroup() as moves:
                 begin(own)
                 if arrivals:
                     await _wait_for(arrivals)
-                    begin(self._add_own(own, left))
+                    begin(self._add_own(own, unmoved))
         finally:
             await others.aclose()
 
@@ -223,14 +223,14 @@ class _OtherHosts:
             await connection.close(None)
 
 
-async def _move(own: OwnSubject, place: OtherHost, others: _OtherHosts, left: dict[bytes, str]) -> None:
+async def _move(own: OwnSubject, place: OtherHost, others: _OtherHosts, unmoved: dict[bytes, str]) -> None:
     """Move one channel or queue.
 
     Tries one host after the other while they have no room, have too many moves, or do not answer.
     """
     delay_s, host = RETRY_SECONDS_MIN, others.first(own, place)
     if host is None:
-        left[own.id] = "it is recorded (archive), and no other live host has an archive"
+        unmoved[own.id] = "it is recorded (archive), and no other live host has an archive"
     while host is not None and own.is_here:  # paced by the sleep; `HostDrain.run` ends it
         try:
             if (other := await others.move(own, host)) is host:
@@ -240,7 +240,7 @@ async def _move(own: OwnSubject, place: OtherHost, others: _OtherHosts, left: di
         except (ChannelNotFound, QueueNotFound):  # deleted meanwhile
             break
         except StampedeError as error:
-            left[own.id] = str(error)
+            unmoved[own.id] = str(error)
             if error.reason == "SHUTTING_DOWN":
                 others.leave_out(host)
             elif not _may_succeed_later(error):
@@ -249,14 +249,14 @@ async def _move(own: OwnSubject, place: OtherHost, others: _OtherHosts, left: di
         await asyncio.sleep(delay_s)
         delay_s = min(2 * delay_s, RETRY_SECONDS_MAX)
     if host is not None or not own.is_here:
-        left.pop(own.id, None)
+        unmoved.pop(own.id, None)
 
 
-def _log_outcome(moved: int, left: dict[OwnSubject, str], *, is_last: bool) -> None:
-    """Log the outcome. `left`: the channels and queues that are still here, with the reasons. `is_last`: the host
+def _log_outcome(moved: int, unmoved: dict[OwnSubject, str], *, is_last: bool) -> None:
+    """Log the outcome. `unmoved`: the channels and queues that are still here, with the reasons. `is_last`: the host
     stops after the drain."""
-    archived = [one for one in left if is_last and one.needs_archive]
-    stuck = [one for one in left if not is_last or not (one.needs_archive or one.is_empty)]
+    archived = [one for one in unmoved if is_last and one.needs_archive]
+    stuck = [one for one in unmoved if not is_last or not (one.needs_archive or one.is_empty)]
     if archived:
         logger.info(
             "%s did not move to another host: the archive of this host has the items",
@@ -265,10 +265,10 @@ def _log_outcome(moved: int, left: dict[OwnSubject, str], *, is_last: bool) -> N
     if stuck:
         end = "the host stops, and items that no other host has are lost" if is_last else "this host keeps the items"
         logger.warning(
-            "%s could not move to another host (%s); %s", _counted(stuck), left[stuck[0]], end,
+            "%s could not move to another host (%s); %s", _counted(stuck), unmoved[stuck[0]], end,
             extra={"event": "channels_not_moved", **_named(stuck)},
         )  # fmt: skip
-    if moved and not left:
+    if moved and not unmoved:
         logger.info("all channels have moved to other hosts", extra={"event": "host_drained", "channels": moved})
 
 

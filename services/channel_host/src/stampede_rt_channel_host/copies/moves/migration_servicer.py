@@ -156,9 +156,9 @@ class MigrationServicer(migration_service_pb2_grpc.MigrationServiceServicer):
         if timeout_nanos < 0:
             raise InvalidArgument(f"timeout_nanos is {timeout_nanos}; give more than 0, or 0 for 60 s")
         current_account().change()
-        moved, left = await self._draining.run(timeout_nanos / 1e9)
-        named = [pb.ChannelNotMoved(name=name, reason=left[name]) for name in [*left][:NAMES_MAX]]
-        return pb.DrainHostResponse(moved=moved, left=named, left_count=len(left))
+        moved, unmoved = await self._draining.run(timeout_nanos / 1e9)
+        named = [pb.ChannelNotMoved(name=name, reason=unmoved[name]) for name in [*unmoved][:NAMES_MAX]]
+        return pb.DrainHostResponse(moved=moved, left=named, left_count=len(unmoved))
 
 
 def _check_channel_id(channel_id: bytes) -> None:

@@ -243,19 +243,19 @@ class BoundedCount:
     has stopped at a limit.
     """
 
-    __slots__ = ("_consumers", "_count", "_left", "_looks_max", "held_back")
+    __slots__ = ("_consumers", "_count", "_looks_max", "_slices_left", "held_back")
 
     def __init__(self, slices: int, count: CountOldest, consumers: Consumers) -> None:
         self._count = count
-        self._left = slices
+        self._slices_left = slices
         self._consumers = consumers
         self._looks_max = consumers.looked_at + CONSUMERS_CHECKED_MAX
         self.held_back = False
 
     def __call__(self, part: Slice) -> int:
         """See `CountOldest`."""
-        self._left -= 1
-        self.held_back = self._left < 0 or self._consumers.looked_at >= self._looks_max
+        self._slices_left -= 1
+        self.held_back = self._slices_left < 0 or self._consumers.looked_at >= self._looks_max
         return 0 if self.held_back else self._count(part)
 
 

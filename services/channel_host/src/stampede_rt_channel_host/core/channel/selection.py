@@ -154,7 +154,7 @@ class _SliceSelection:
         self, snapshot: IndexSnapshot, limit: int | None, next_time: Callable[[int], int | None], *, down: bool
     ) -> None:
         self._snapshot = snapshot
-        self._left = limit
+        self._items_left = limit
         self._next_time = next_time
         self._down = down
         self._left_out = False  # whether the test has left an item out after the last taken slice
@@ -175,7 +175,7 @@ class _SliceSelection:
         for part in self._scan(key_range):
             steps += 1
             if all_shown or self._snapshot.shows(part):
-                if fits is None and self._left is None and not self._left_out:
+                if fits is None and self._items_left is None and not self._left_out:
                     self._slices.append(part)
                 elif not self._take_fitting(part, fits):
                     return None
@@ -204,14 +204,14 @@ class _SliceSelection:
             first, last = (one.hi, one.lo) if self._down else (one.lo, one.hi)
             self._left_out |= first != at
             at = last
-            if self._left is not None and one.items > self._left:
+            if self._items_left is not None and one.items > self._items_left:
                 self.more = True
-                if self._left:
-                    lo, hi = (one.hi - self._left, one.hi) if self._down else (one.lo, one.lo + self._left)
+                if self._items_left:
+                    lo, hi = (one.hi - self._items_left, one.hi) if self._down else (one.lo, one.lo + self._items_left)
                     self._append(Slice(one.run, lo, hi))
                 return False
             self._append(one)
-            self._left = None if self._left is None else self._left - one.items
+            self._items_left = None if self._items_left is None else self._items_left - one.items
         self._left_out |= at != end
         return True
 

@@ -123,7 +123,7 @@ class Dispatcher:
         self._cursors: OrderedDict[int, TakerCursor] = OrderedDict()
         self.batches: list[tuple[TakerState, Batch]] = []
         self.is_paused = self.has_more = False
-        self._left = ITEMS_DISPATCHED_MAX  # the number of messages that this call of the queue may still give to takers
+        self._messages_left = ITEMS_DISPATCHED_MAX  # that this call of the queue may still give to takers
 
     def __len__(self) -> int:
         """The number of waiting takers."""
@@ -141,7 +141,7 @@ class Dispatcher:
 
     def begin_call(self) -> None:
         """Begin a call of the queue, which may give ITEMS_DISPATCHED_MAX messages to takers."""
-        self._left = ITEMS_DISPATCHED_MAX
+        self._messages_left = ITEMS_DISPATCHED_MAX
 
     def leave(self, taker: TakerState) -> None:
         """Take a taker out of the line. Idempotent."""
@@ -165,7 +165,7 @@ class Dispatcher:
         """Give a taker its share of the messages, as one of `takers` takers. Returns False if it gets nothing."""
         there = self._queue_items.available_items * self._queue_items.limits.copies
         share = min(-(-there // takers), taker.credit, ITEMS_DISPATCHED_MAX)
-        if share > self._left:  # the taker waits for the next call, so that it gets its whole share
+        if share > self._messages_left:  # the taker waits for the next call, so that it gets its whole share
             self.has_more = True
             return False
         lease_nanos = taker.lease_nanos or self._queue_items.limits.lease_nanos
@@ -174,7 +174,7 @@ class Dispatcher:
             pass
         if not draft.items:
             return False
-        self._left -= draft.items
+        self._messages_left -= draft.items
         taker.credit -= draft.items
         taker.is_busy = True
         taker.unsent = Batch(draft.slices, now + lease_nanos)

@@ -77,23 +77,23 @@ class QueueSnapshot:
         `now`: the host's clock. `chunks_max`: see `AcknowledgedDeliveries.latest`.
         """
         # Twice the changes, so that the pieces come to an end however fast the queue changes.
-        left, self._changes = max(MESSAGES_PER_PIECE, 2 * self._changes), 0
-        for item in [*islice(self._queue_items.tracked.values(self._next_seq), left)]:
+        changes_left, self._changes = max(MESSAGES_PER_PIECE, 2 * self._changes), 0
+        for item in [*islice(self._queue_items.tracked.values(self._next_seq), changes_left)]:
             self._copy(item)
             self._next_seq = item.seq + 1
-            left -= 1
-        while left and self._outdated:
+            changes_left -= 1
+        while changes_left and self._outdated:
             seq = self._outdated.pop()
             changed = self._queue_items.tracked.get(seq)
             if changed is None:
                 del self._copied[seq]
             else:
                 self._copy(changed)
-            left -= 1
-        while left and self._new_producers:
+            changes_left -= 1
+        while changes_left and self._new_producers:
             self._copy_producer(self._new_producers.pop())
-            left -= 1
-        if not left:
+            changes_left -= 1
+        if not changes_left:
             return False
         self._take_rest(now, chunks_max)
         return True

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from stampede_rt_supernode.replication.rules.membership import Membership
 
-# How long a leader looks for a successor.
+# The time for which a leader looks for a successor.
 HAND_OVER_SECONDS = 1.0
 
 
@@ -20,12 +20,12 @@ class HandOver:
 
 @dataclass(slots=True)
 class _SuccessorSearch:
-    """The search for a successor, which ends at `until`. New proposals wait meanwhile.
+    """The search for a successor, which ends at `deadline_seconds`. New proposals wait meanwhile.
 
     As soon as a member has all entries, the leader asks this member to lead. `has_requested_election` is then True.
     """
 
-    until: float
+    deadline_seconds: float
     has_requested_election: bool = False
     callers: list[HandOver] = field(default_factory=list)
 
@@ -49,12 +49,12 @@ class LeadershipTransfer:
         self._clock = clock
         self._finish_later = finish
         self._alive_seconds = alive_seconds
-        self._leaving: _SuccessorSearch | None = None
+        self._search: _SuccessorSearch | None = None
 
     @property
     def under_way(self) -> bool:
         """Whether the leader looks for a successor."""
-        return self._leaving is not None
+        return self._search is not None
 
     def begin(self, request: HandOver) -> None:
         """Begin to look for a successor, or add the caller to the callers that wait for one.
@@ -64,30 +64,30 @@ class LeadershipTransfer:
         if not self._node.is_leader or not self._node.voter_ids():
             self._answer([request], not self._node.is_leader)
             return
-        if self._leaving is None:
-            self._leaving = _SuccessorSearch(self._clock() + HAND_OVER_SECONDS)
-        self._leaving.callers.append(request)
+        if self._search is None:
+            self._search = _SuccessorSearch(self._clock() + HAND_OVER_SECONDS)
+        self._search.callers.append(request)
 
     def advance(self) -> None:
         """Take the next step, if the leader looks for a successor."""
-        leaving = self._leaving
-        if leaving is None:
+        search = self._search
+        if search is None:
             return
-        if self._clock() > leaving.until:
-            self._leaving = None
-            self._answer(leaving.callers, False)
+        if self._clock() > search.deadline_seconds:
+            self._search = None
+            self._answer(search.callers, False)
             return
         alive = self._node.alive_voters(within_seconds=self._alive_seconds)
         complete = sorted(name for name in alive if self._node.held_by(name) == self._node.log.last_index)
-        if complete and not leaving.has_requested_election:
-            leaving.has_requested_election = self._node.send_timeout_now(complete[0])
+        if complete and not search.has_requested_election:
+            search.has_requested_election = self._node.send_timeout_now(complete[0])
 
     def end(self) -> None:
         """Answer all waiting callers, because this node no longer leads, or is closing."""
-        leaving, self._leaving = self._leaving, None
-        if leaving is not None:
-            self._answer(leaving.callers, not self._node.is_leader)
+        search, self._search = self._search, None
+        if search is not None:
+            self._answer(search.callers, not self._node.is_leader)
 
-    def _answer(self, callers: list[HandOver], left: bool) -> None:
+    def _answer(self, callers: list[HandOver], has_left_lead: bool) -> None:
         for caller in callers:
-            self._finish_later(lambda caller=caller: caller.done(left))  # type: ignore[misc]
+            self._finish_later(lambda caller=caller: caller.done(has_left_lead))  # type: ignore[misc]

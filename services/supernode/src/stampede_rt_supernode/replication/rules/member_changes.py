@@ -256,7 +256,7 @@ class MemberChanges:
         elif not self._majority_without(member_id):
             self._finish([change], self._no_majority_without(member_id))
         elif member_id == self._node.self_member.member_id:
-            self.hand_over(HandOver(lambda left: change.done(_after_hand_over(left))))
+            self.hand_over(HandOver(lambda has_left_lead: change.done(_after_hand_over(has_left_lead))))
         else:
             self._commit(member_id, configuration.without(member_id), change)
 
@@ -302,7 +302,7 @@ class MemberChanges:
             self._finish_later(lambda caller=caller: caller.done(outcome))  # type: ignore[misc]
 
 
-def _after_hand_over(left: bool) -> ChangeOutcome:
-    if left:
+def _after_hand_over(has_left_lead: bool) -> ChangeOutcome:
+    if has_left_lead:
         return NotLeading("this replica was the leader, and has handed over: ask the new one")
     return LogUnavailable("this replica leads, and no other member could take over; try again")
