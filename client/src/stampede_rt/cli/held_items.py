@@ -91,9 +91,9 @@ def _record(arguments: argparse.Namespace, sources: Sequence[str], path: Path, s
 
 def _check_items(summary: RecordingSummary, path: Path, start: int | None, end: int | None) -> None:
     """Raise InvalidArgument if no channel has an item from `start` on and before `end`."""
-    first, until = MIN_INSTANT if start is None else start, MAX_INSTANT if end is None else end
+    first, last = MIN_INSTANT if start is None else start, MAX_INSTANT if end is None else end
     ends = [(one.start, one.end) for one in summary.channels if one.start is not None and one.end is not None]
-    if any(start < until and end >= first for start, end in ends) and _has_items(path, first, until):
+    if any(start < last and end >= first for start, end in ends) and _has_items(path, first, last):
         return
     names = sorted({one.channel for one in summary.channels})
     has = f"channel {names[0]!r} has" if len(names) == 1 else f"the channels {joined(names)} have"

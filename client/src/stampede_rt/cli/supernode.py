@@ -195,8 +195,8 @@ def _run_add(arguments: argparse.Namespace) -> int:
     if arguments.output != "table":
         print_facts({"token": made.token, "id": name, "cluster_id": made.cluster_id, "join": command}, arguments.output)
         return 0
-    until = instant_text(made.valid_until_unix_nano // 10**9 * 10**9).replace(".000000000", "")
-    print(escaped(f"The token lets supernode {name} join at {arguments.address}, once, until {until}."))
+    valid_until = instant_text(made.valid_until_unix_nano // 10**9 * 10**9).replace(".000000000", "")
+    print(escaped(f"The token lets supernode {name} join at {arguments.address}, once, until {valid_until}."))
     if is_secured:
         print("The supernode needs a certificate of its own. On its machine, name the certificate's files in")
         print("$STAMPEDE_TLS_CA, ..._CERTIFICATE and ..._KEY. This command makes the certificate:\n")

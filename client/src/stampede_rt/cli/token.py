@@ -67,14 +67,14 @@ def run_issue(arguments: argparse.Namespace) -> int:
         if file is not None:
             file.write(made.token + "\n")
         print_behind(cluster.parts_behind(made.version))
-    until = instant_text(made.valid_until_unix_nano // 10**9 * 10**9).replace(".000000000", "")
+    end_text = instant_text(made.valid_until_unix_nano // 10**9 * 10**9).replace(".000000000", "")
     for_people = arguments.output == "table"
-    valid_until = until if for_people else made.valid_until_unix_nano
+    valid_until = end_text if for_people else made.valid_until_unix_nano
     facts = {"name": arguments.name, "serial": made.serial, "valid_until": valid_until}
     if arguments.out is None:
         if for_people:
             print(made.token)  # without other text, so that a script can take it
-            print(f"serial {made.serial} (for `stampede token revoke`), valid until {until}", file=sys.stderr)
+            print(f"serial {made.serial} (for `stampede token revoke`), valid until {end_text}", file=sys.stderr)
         else:
             print_facts({**facts, "token": made.token}, arguments.output)
         return 0

@@ -110,8 +110,8 @@ def wait_for_any(words: Sequence[tuple[int, int]], timeout_s: float) -> None:
     There are at most WORDS_MAX. Raises OSError if the system has no such call.
     """
     waiters = (_Waiter * len(words))(*(_Waiter(value & 0xFFFF_FFFF, at, _WORD_OF_4_BYTES, 0) for at, value in words))
-    until = time.monotonic() + timeout_s
-    limit = _Timespec(int(until), int(until % 1 * 1e9))
+    deadline_s = time.monotonic() + timeout_s
+    limit = _Timespec(int(deadline_s), int(deadline_s % 1 * 1e9))
     result = _system_call()(
         ctypes.c_long(_FUTEX_WAITV), ctypes.byref(waiters), ctypes.c_long(len(words)), ctypes.c_long(0),
         ctypes.byref(limit), ctypes.c_long(_CLOCK_MONOTONIC),

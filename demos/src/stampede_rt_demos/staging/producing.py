@@ -20,8 +20,8 @@ def wait_until(unix_nano: int) -> None:
         time.sleep(delay / NANOS_PER_SECOND)
 
 
-def produce(stage: Stage, channel: st.Channel, plan: Iterable[PlannedItem], until: int) -> dict[str, object]:
-    """Put every item of `plan` when it is due. Then promise that no item before `until` will come.
+def produce(stage: Stage, channel: st.Channel, plan: Iterable[PlannedItem], end: int) -> dict[str, object]:
+    """Put every item of `plan` when it is due. Then promise that no item before `end` will come.
 
     An item that is due at its end gets an advance to that end right after its put. A reader that waits for the interval
     up to that end then need not wait for the next item. Returns the figures for the producer's result: the number of
@@ -45,8 +45,8 @@ def produce(stage: Stage, channel: st.Channel, plan: Iterable[PlannedItem], unti
             channel.advance(planned.due)
         period_nanos = planned.duration
         stage.send_progress(items=len(lateness))
-    wait_until(until)
-    channel.advance(until)
+    wait_until(end)
+    channel.advance(end)
     return {
         "put": len(lateness),
         "period_nanos": period_nanos,

@@ -15,14 +15,14 @@ from stampede_rt_demos.staging.statistics import Receipts
 GRACE_SECONDS = 5.0
 
 
-def receive(channel: st.Channel, start: int, until: int, handle: Callable[[st.Item], None]) -> Receipts:
-    """Pass every item from `start` on to `handle`, up to the item whose span ends at `until`.
+def receive(channel: st.Channel, start: int, end: int, handle: Callable[[st.Item], None]) -> Receipts:
+    """Pass every item from `start` on to `handle`, up to the item whose span ends at `end`.
 
-    Blocks until then. Raises DemoFailed if this last item has not come GRACE_SECONDS after `until`.
+    Blocks until then. Raises DemoFailed if this last item has not come GRACE_SECONDS after `end`.
     """
     receipts = Receipts()
     with channel.subscribe(start=start) as subscription:
-        patience = (until - time.time_ns()) / NANOS_PER_SECOND + GRACE_SECONDS
+        patience = (end - time.time_ns()) / NANOS_PER_SECOND + GRACE_SECONDS
         watch = threading.Timer(max(0.0, patience), subscription.close)
         watch.daemon = True
         watch.start()
@@ -35,7 +35,7 @@ def receive(channel: st.Channel, start: int, until: int, handle: Callable[[st.It
                     received_unix_nano=time.time_ns(),
                 )
                 handle(item)
-                if item.time + (item.duration or 0) >= until:
+                if item.time + (item.duration or 0) >= end:
                     return receipts
         finally:
             watch.cancel()

@@ -43,8 +43,8 @@ def analyse(stage: Stage, source: StreamPlan, target: StreamPlan, feature: Featu
             analysed += 1
             stage.send_progress(items=analysed)
 
-        until = start + stage.settings.length_nanos
-        receipts = receive(sources, start, until, handle)
-        wait_until(until)  # like every other span, the last one must be complete when it ends, and not before
-        features.advance(until)
+        end = start + stage.settings.length_nanos
+        receipts = receive(sources, start, end, handle)
+        wait_until(end)  # like every other span, the last one must be complete when it ends, and not before
+        features.advance(end)
         return {"receipts": {source.name: receipts.as_record()}}

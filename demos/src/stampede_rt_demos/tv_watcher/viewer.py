@@ -36,24 +36,24 @@ def play(stage: Stage) -> dict[str, object]:
         channels = {stream.name: open_channel(rt, stream) for stream in READ_HERE_ALONE}
         with rt.group(GROUP).subscribe(max_wait=MAX_WAIT) as cuts:
             start = stage.wait_for_start()
-            until = start + stage.settings.length_nanos
+            end = start + stage.settings.length_nanos
             live = {
-                name: threads.submit(receive, channel, start, until, lambda item: None)
+                name: threads.submit(receive, channel, start, end, lambda item: None)
                 for name, channel in channels.items()
             }
-            spans = watch(stage, cuts, until)
+            spans = watch(stage, cuts, end)
         receipts = {name: future.result() for name, future in live.items()}
     stage.send_event("picture", **picture_record(spans, start))
     return {"receipts": {name: each.as_record() for name, each in receipts.items()}}
 
 
-def watch(stage: Stage, cuts: st.CutSubscription, until: int) -> deque[Span]:
-    """Read events up to the one whose cut is `until`, and return the last few spans for the picture.
+def watch(stage: Stage, cuts: st.CutSubscription, end: int) -> deque[Span]:
+    """Read events up to the one whose cut is `end`, and return the last few spans for the picture.
 
-    Raises DemoFailed if this last event has not come GRACE_SECONDS after `until`.
+    Raises DemoFailed if this last event has not come GRACE_SECONDS after `end`.
     """
     spans: deque[Span] = deque(maxlen=PICTURE_SPANS_MAX)
-    patience = (until - time.time_ns()) / NANOS_PER_SECOND + GRACE_SECONDS
+    patience = (end - time.time_ns()) / NANOS_PER_SECOND + GRACE_SECONDS
     timer = threading.Timer(max(0.0, patience), cuts.close)
     timer.daemon = True
     timer.start()
@@ -62,7 +62,7 @@ def watch(stage: Stage, cuts: st.CutSubscription, until: int) -> deque[Span]:
             for step, span in spans_taken(cut, time.time_ns()):
                 spans.append(span)
                 stage.send_event("step", **steps.step_fields(step))
-            if cut.time >= until:
+            if cut.time >= end:
                 return spans
     finally:
         timer.cancel()

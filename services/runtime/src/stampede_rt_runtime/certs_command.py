@@ -100,8 +100,8 @@ def _issue(arguments: argparse.Namespace) -> VerbResult:
     certificate, key = write_pair(made, out, identity.file_stem)
     reached = f", called at {', '.join(addresses)}" if addresses else ""
     contents = describe(made.certificate)[0]
-    until = f"{contents.not_after:%Y-%m-%d %H:%M} UTC"
-    lines = [f"{certificate}: {identity}{reached}, until {until}", f"{key}: its private key", ""]
+    valid_until = f"{contents.not_after:%Y-%m-%d %H:%M} UTC"
+    lines = [f"{certificate}: {identity}{reached}, until {valid_until}", f"{key}: its private key", ""]
     lines += _how_to_use(identity, folder / "ca.pem", certificate, key)
     return VerbResult(lines, _facts(certificate, contents) | {"key": str(key)})
 

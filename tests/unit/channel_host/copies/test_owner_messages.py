@@ -35,7 +35,7 @@ def test_the_facts_of_an_owner_are_converted_to_the_clock_of_the_copy() -> None:
     moved = back.runs[0]._replace(outcome=back.runs[0].outcome._replace(refusals=(refused,)))
     assert moved == KeptRun(1, 4, outcome._replace(time=990), "ann")
     assert back.runs[1] == KeptRun(2**63 + 5, 1, whole._replace(time=995))
-    assert (back.places, back.counters, back.until) == (PLACES, COUNTERS, 100)
+    assert (back.places, back.counters, back.complete_before) == (PLACES, COUNTERS, 100)
 
 
 @pytest.mark.parametrize("stamp", [None, 95])
@@ -53,7 +53,7 @@ def test_a_put_without_items_is_refused() -> None:
 
 def test_unchanged_consumer_places_are_left_out() -> None:
     back = owner_of(owner_to(OwnerPart((), None, COUNTERS, None), 0), 0)
-    assert (back.runs, back.places, back.until) == ((), None, None)
+    assert (back.runs, back.places, back.complete_before) == ((), None, None)
 
 
 def test_a_run_whose_items_are_not_judged_is_refused() -> None:

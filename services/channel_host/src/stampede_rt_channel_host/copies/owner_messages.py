@@ -29,7 +29,7 @@ def owner_to(part: OwnerPart, now: int) -> pb.OwnerFacts:
         consumers=None if part.places is None else _places_to(part.places),
         counters=counters_to(part.counters),
         late=part.counters.late,
-        until_unix_nano=part.until,
+        until_unix_nano=part.complete_before,
     )
 
 
@@ -56,7 +56,7 @@ def put_to(part: OwnerPart, now: int) -> pb.FedPut:
         first_seq=accepted.first_seq,
         stamped_unix_nano=accepted.stamped_time,
         judged_ago_nanos=max(0, now - run.outcome.time),
-        until_unix_nano=part.until,
+        until_unix_nano=part.complete_before,
         accepted=part.counters.accepted,
         accepted_bytes=part.counters.accepted_bytes,
     )

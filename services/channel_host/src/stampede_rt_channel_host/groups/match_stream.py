@@ -131,9 +131,7 @@ class MatchStream:
                 continue
             holds = counted is not None or all(remote.is_followed for remote, _ in self._remote.values())
             has_changed = bool(found) or (holds and counted != (matcher.unmatched, matcher.dropped))
-            wanted = (
-                counted is None or self._credit.amount_left > 0
-            )  # without credit the stream sends nothing
+            wanted = counted is None or self._credit.amount_left > 0  # without credit the stream sends nothing
             if not (has_changed and (found or wanted)) and (self._writer.silence_left_s > 0 or not wanted):
                 await self._waiter.wait(self._writer.silence_left_s if wanted else None)
                 continue

@@ -66,18 +66,18 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
     async def CreateJoinToken(self, request: pb.CreateJoinTokenRequest, context: Context) -> pb.CreateJoinTokenResponse:
         check_id(request.request_id, "request_id")
         valid_nanos = request.valid_nanos if request.HasField("valid_nanos") else None
-        until, cluster_id = valid_until(self._clock.time_unix_nano(), valid_nanos), self._cluster_id()
+        end_unix_nano, cluster_id = valid_until(self._clock.time_unix_nano(), valid_nanos), self._cluster_id()
         newcomer = _member("supernode_id", request.supernode_id, "the address", request.target)
         self._check_is_new(newcomer.member_id)
         token = self._tokens().make(
             request.request_id,
             newcomer,
-            valid_until_unix_nano=until,
+            valid_until_unix_nano=end_unix_nano,
             log_cluster_id=self._log_cluster_id,
         )
         audit_change("make join token", f"{newcomer.member_id} at {newcomer.address}")
         return pb.CreateJoinTokenResponse(
-            token=token, valid_until_unix_nano=until, cluster_id=cluster_id, log_cluster_id=self._log_cluster_id
+            token=token, valid_until_unix_nano=end_unix_nano, cluster_id=cluster_id, log_cluster_id=self._log_cluster_id
         )
 
     @errors_as_status

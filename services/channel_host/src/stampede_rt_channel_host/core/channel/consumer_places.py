@@ -56,7 +56,7 @@ class ConsumerStanding(NamedTuple):
 
 
 class Place:
-    """A place that a consumer has taken. Its lease ends at `until`.
+    """A place that a consumer has taken. Its lease ends at `lease_end`.
 
     `done` has the seqs that the consumer has consumed, and collected seqs next to them. It is None after the lease has
     ended. All seqs lower than `below` are in `done`; the table sorts the places with a valid lease by `below`.
@@ -65,9 +65,9 @@ class Place:
     names the caller that took the place; empty if it is not known.
     """
 
-    __slots__ = ("below", "caller_name", "consumer_id", "done", "due", "joined_to", "order", "ranges", "until")
+    __slots__ = ("below", "caller_name", "consumer_id", "done", "due", "joined_to", "lease_end", "order", "ranges")
 
-    def __init__(self, consumer_id: int, order: int, done: SeqSet | None, until: int = 0) -> None:
+    def __init__(self, consumer_id: int, order: int, done: SeqSet | None, lease_end: int = 0) -> None:
         self.caller_name = ""
         self.consumer_id = consumer_id
         self.order = order
@@ -75,7 +75,7 @@ class Place:
         self.below = 1
         self.joined_to = 0
         self.ranges = 0
-        self.until = until
+        self.lease_end = lease_end
         self.due: int | None = None
 
 
@@ -92,7 +92,7 @@ class PlaceTable:
         self._places = places
         self._taken: dict[int, Place] = {}  # by consumer id
         self._live: Any = SortedKeyList(key=attrgetter("below", "order"))  # the places with a valid lease
-        self._ended: Any = SortedKeyList(key=attrgetter("until", "order"))  # the places whose lease has ended
+        self._ended: Any = SortedKeyList(key=attrgetter("lease_end", "order"))  # the places whose lease has ended
         self._leases: Deadlines[Place] = Deadlines()
         self._orders = 0  # the last `order` given to a place
         self._ranges = 0  # the number of ranges of consumed seqs, of all places together
@@ -138,7 +138,7 @@ class PlaceTable:
 
         In each group the place with the earliest lease end comes first.
         """
-        return sorted(self._taken.values(), key=lambda place: (place.done is not None, place.until))
+        return sorted(self._taken.values(), key=lambda place: (place.done is not None, place.lease_end))
 
     def live_up_to(self, seq: int) -> list[Place]:
         """The places with a valid lease whose `below` is at most `seq`, in the order of `below`."""
@@ -191,10 +191,10 @@ class PlaceTable:
                 metadata={"subject": caller_name, "used": str(held), "limit": str(PLACES_OF_ONE_MAX)},
             )
 
-    def renew(self, place: Place, until: int) -> None:
-        """Let the valid lease of a place end at `until`."""
-        place.until = until
-        self._leases.arm(place, until)
+    def renew(self, place: Place, lease_end: int) -> None:
+        """Let the valid lease of a place end at `lease_end`."""
+        place.lease_end = lease_end
+        self._leases.arm(place, lease_end)
 
     def set_caller_name(self, place: Place, caller_name: str) -> None:
         """Set the name of the caller that has the place; empty if it is not known.
@@ -216,7 +216,7 @@ class PlaceTable:
 
     def give_up(self, place: Place, clock: int) -> None:
         """End the valid lease of a place now."""
-        place.until = clock
+        place.lease_end = clock
         self._leases.disarm(place)
         self._end(place)
 
@@ -235,20 +235,20 @@ class PlaceTable:
         self._add_bytes(place.caller_name, CONSUMED_RANGE_BYTES * (ranges - place.ranges))
         place.ranges = ranges
 
-    def enter_ended(self, consumer_id: int, until: int) -> None:
-        """Add a place whose lease ended at `until`."""
-        self._enter(consumer_id, None, until)
+    def enter_ended(self, consumer_id: int, lease_end: int) -> None:
+        """Add a place whose lease ended at `lease_end`."""
+        self._enter(consumer_id, None, lease_end)
 
-    def enter_live(self, consumer_id: int, done: SeqSet, until: int) -> Place:
-        """Add a place whose lease ends at `until`. The consumer has consumed the seqs in `done`."""
+    def enter_live(self, consumer_id: int, done: SeqSet, lease_end: int) -> Place:
+        """Add a place whose lease ends at `lease_end`. The consumer has consumed the seqs in `done`."""
         place = self._enter(consumer_id, done)
-        self.renew(place, until)
+        self.renew(place, lease_end)
         return place
 
-    def _enter(self, consumer_id: int, done: SeqSet | None, until: int = 0) -> Place:
-        """Add a place of a consumer. If `done` is None, the lease of the place has ended at `until`."""
+    def _enter(self, consumer_id: int, done: SeqSet | None, lease_end: int = 0) -> Place:
+        """Add a place of a consumer. If `done` is None, the lease of the place has ended at `lease_end`."""
         self._orders += 1
-        place = self._taken[consumer_id] = Place(consumer_id, self._orders, done, until)
+        place = self._taken[consumer_id] = Place(consumer_id, self._orders, done, lease_end)
         if done is None:
             self._ended.add(place)
         else:
@@ -268,7 +268,7 @@ class PlaceTable:
         del self._taken[place.consumer_id]
 
     def _end(self, place: Place) -> None:
-        """Move a place to the places whose lease has ended. `until` is the end of the lease."""
+        """Move a place to the places whose lease has ended. `lease_end` is the end of the lease."""
         self._live.remove(place)
         place.done = None
         self.count_ranges(place)

@@ -154,7 +154,7 @@ class Consumers:
 
     def note_some_collected(self, first: int, end: int, ranges_max: int) -> int:
         """Note a bounded part of these seqs, from `first` on, like `note_collected`. Returns the end of the part."""
-        end = min(self._collected.until(first, end, ranges_max), first + SEQS_PER_LOOK_MAX)
+        end = min(self._collected.end_of_ranges(first, end, ranges_max), first + SEQS_PER_LOOK_MAX)
         self._collected.add(first, end)
         return end
 
@@ -187,7 +187,7 @@ class Consumers:
             done = SeqSet() if place.done is None else place.done
             for known in self._collected.touching(1, next_seq) if place.done is not None else ():
                 done.add(*known)
-            lease = 0 if place.done is None else place.until - clock
+            lease = 0 if place.done is None else place.lease_end - clock
             shown.append(ConsumerPlace(place.consumer_id, lease, done.below, done.ranges, place.caller_name))
         return shown
 
@@ -201,7 +201,7 @@ class Consumers:
             if place.done is None:
                 shown.append(ConsumerStanding(place.consumer_id, 0, 0))
                 continue
-            lease, steps = place.until - clock, steps + next_seq // BLOCK_SEQS // pieces.ITEMS_PER_STEP + 1
+            lease, steps = place.lease_end - clock, steps + next_seq // BLOCK_SEQS // pieces.ITEMS_PER_STEP + 1
             waiting = next_seq - place.done.below - self._collected.count(place.done.below, next_seq)
             seq = place.done.below
             while place.done is not None and (found := place.done.first_range(seq)) is not None:
@@ -265,7 +265,7 @@ def _add_some(done: SeqSet, first: int, end: int, ranges_max: int) -> int:
     Returns the number of joined ranges.
     """
     before = done.range_count
-    done.add(first, done.until(first, end, ranges_max))
+    done.add(first, done.end_of_ranges(first, end, ranges_max))
     return max(0, before - done.range_count)
 
 

@@ -70,8 +70,8 @@ class FedChannel(ChannelCore):
     @property
     def place(self) -> FeedPlace:
         """The place from which another feed continues."""
-        until = None if self.owner_facts is None else self.owner_facts.until
-        return FeedPlace(self._incarnation, self.next_seq, self._held.floor_resets, until)
+        complete_before = None if self.owner_facts is None else self.owner_facts.complete_before
+        return FeedPlace(self._incarnation, self.next_seq, self._held.floor_resets, complete_before)
 
     @property
     def footprint_bytes(self) -> int:

@@ -45,18 +45,18 @@ class OwnerPart(NamedTuple):
 
     `runs`: the runs of producers, the earliest first. `places`: None if the places have not changed. `counters`: a
     `GrowingCounts` if only these counts have changed; then `runs` has one run, of which the owner has accepted all
-    items. `until`: with this part the copy has all runs that the owner judged before this time of its clock; None: more
-    runs follow.
+    items. `complete_before`: with this part the copy has all runs that the owner judged before this time of its clock;
+    None: more runs follow.
     """
 
     runs: tuple[KeptRun, ...]
     places: FedPlaces | None
     counters: Counters | GrowingCounts
-    until: int | None
+    complete_before: int | None
 
 
 class OwnerFactsFeed:
-    """The source's side. `since`: the copy has all runs before this time (`OwnerPart.until`); None: it has none.
+    """The source's side. `since`: the `complete_before` of the copy (see `OwnerPart`); None: the copy has no runs.
 
     `takes_puts`: the copy understands a `GrowingCounts`.
     """
@@ -157,7 +157,7 @@ class OwnerFactsFeed:
                 continue
             below, ranges = place.done.below, _ranges(place, 0)
             while True:
-                lease = max(0, place.until - self._clock)
+                lease = max(0, place.lease_end - self._clock)
                 yield ConsumerPlace(place.consumer_id, lease, below, ranges, place.caller_name)
                 if not ranges or not (ranges := _ranges(place, ranges[-1][1])):
                     break
@@ -177,7 +177,7 @@ class OwnerFacts:
 
     def __init__(self) -> None:
         self.window = RetryWindow()
-        self.until: int | None = None
+        self.complete_before: int | None = None
         self.counters: Counters | None = None
         self._places: tuple[ConsumerPlace, ...] = ()
         self._arrived = 0
@@ -199,8 +199,8 @@ class OwnerFacts:
             self.counters = part.counters
         elif self.counters is not None:
             self.counters = replace(self.counters, **part.counters._asdict())
-        if part.until is not None:
-            self.until = part.until
+        if part.complete_before is not None:
+            self.complete_before = part.complete_before
         if part.places is not None:
             self._take_places(part.places, now)
 

@@ -48,7 +48,7 @@ class SeqSet:
         """The number of ranges above `below`."""
         return len(self._ranges)
 
-    def until(self, first: int, end: int, ranges_max: int) -> int:
+    def end_of_ranges(self, first: int, end: int, ranges_max: int) -> int:
         """The end of the part of `first` to `end` that one step may add, so that the step joins few ranges.
 
         The result is `end`, or less if a step up to `end` would join more than about `ranges_max` ranges.

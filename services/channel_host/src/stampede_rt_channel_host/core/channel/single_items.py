@@ -37,11 +37,11 @@ def last_in(held: HeldItems, within: ResolvedInterval) -> FoundItem | None:
 
     None: only a scan finds out.
     """
-    oldest, newest, until = held.oldest, held.newest, within.end - within.end_exclusive
+    oldest, newest, latest_time = held.oldest, held.newest, within.end - within.end_exclusive
     if oldest is None or newest is None or oldest < within.start + within.start_exclusive:
         return None
-    if newest > until:
-        return _single_up_to(held, until)
+    if newest > latest_time:
+        return _single_up_to(held, latest_time)
     part = held.index.last_item
     return None if part is None else FoundItem(part, None)
 

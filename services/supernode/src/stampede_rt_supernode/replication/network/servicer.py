@@ -105,7 +105,7 @@ class RaftServicer:
 
     def expel(self, member_id: str, why: str) -> None:
         """End the stream of a member that breaks the protocol, and refuse it for a while."""
-        self._expelled = {one: until for one, until in self._expelled.items() if until[0] > time.monotonic()}
+        self._expelled = {one: refusal for one, refusal in self._expelled.items() if refusal[0] > time.monotonic()}
         self._expelled[member_id] = time.monotonic() + EXPELLED_SECONDS, why
         if self._reports.is_due((member_id, "expelled"), time.monotonic()):
             logger.error(
@@ -154,8 +154,8 @@ class RaftServicer:
             await context.abort(
                 grpc.StatusCode.PERMISSION_DENIED, f"{hello.member_id!r} uses the certificate of {caller}"
             )
-        until, why = self._expelled.get(hello.member_id, (0.0, ""))
-        if until > time.monotonic():
+        refused_until_s, why = self._expelled.get(hello.member_id, (0.0, ""))
+        if refused_until_s > time.monotonic():
             await context.abort(grpc.StatusCode.UNAVAILABLE, f"refused for {EXPELLED_SECONDS:.0f} s: {why}")
         roster, promise = self._replica.roster, self._replica.promise_of(hello.member_id)
         refusal = refusal_of(
