@@ -75,8 +75,8 @@ def test_a_put_frees_a_due_item_although_the_deadlines_of_many_channels_have_cha
     while host.sweep.reclaim():
         pass
     for other in others:
-        host.sweep._deadlines.arm(other, host.clock.time_unix_nano())
-        host.sweep._deadlines.arm(other, host.clock.time_unix_nano() + 100 * S)
+        host.sweep._deadlines.set_due(other, host.clock.time_unix_nano())
+        host.sweep._deadlines.set_due(other, host.clock.time_unix_nano() + 100 * S)
     host.clock.advance(2 * S)
     host.memory.bytes_max = host.memory.used_bytes
     host.memory.claim(1000)

@@ -16,10 +16,10 @@ class Thing:
 
 def test_things_are_due_in_order_and_only_at_their_last_deadline() -> None:
     deadlines, one, two, three = Deadlines[Thing](), Thing(1), Thing(2), Thing(3)
-    deadlines.arm(one, 5)
-    deadlines.arm(two, 5)
-    deadlines.arm(three, 1)
-    deadlines.arm(three, 9)
+    deadlines.set_due(one, 5)
+    deadlines.set_due(two, 5)
+    deadlines.set_due(three, 1)
+    deadlines.set_due(three, 9)
     assert (deadlines.next(), deadlines.pop(4)) == (5, None)
     assert [deadlines.pop(9) for _ in range(4)] == [one, two, three, None]
     assert deadlines.next() is None
@@ -27,7 +27,7 @@ def test_things_are_due_in_order_and_only_at_their_last_deadline() -> None:
 
 def test_a_disarmed_deadline_is_not_due() -> None:
     deadlines, one = Deadlines[Thing](), Thing(1)
-    deadlines.arm(one, 5)
+    deadlines.set_due(one, 5)
     deadlines.disarm(one)
     deadlines.disarm(one)
     assert deadlines.pop(10) is None
@@ -36,7 +36,7 @@ def test_a_disarmed_deadline_is_not_due() -> None:
 def test_a_deadline_that_is_extended_repeatedly_takes_no_more_room() -> None:
     deadlines, one = Deadlines[Thing](), Thing(1)
     for due in range(10_000):
-        deadlines.arm(one, due)
+        deadlines.set_due(one, due)
     assert len(deadlines._heap) + len(deadlines._old) < 200
     assert deadlines.pop(9_999) is one
 
@@ -64,12 +64,12 @@ def test_no_call_looks_at_all_deadlines_though_nearly_all_of_them_are_outdated()
     deadlines = Deadlines[WatchedEntry]()
     things = [WatchedEntry(order) for order in range(10_000)]
     for thing in things:
-        deadlines.arm(thing, 10**6 + thing.order)
+        deadlines.set_due(thing, 10**6 + thing.order)
     for thing in things[1:]:
         deadlines.disarm(thing)
     for due in range(10_000):
         WatchedEntry.reads = 0
-        deadlines.arm(things[-1], 10**7 - due)
+        deadlines.set_due(things[-1], 10**7 - due)
         assert WatchedEntry.reads < 50
     assert len(deadlines._heap) + len(deadlines._old) < 200
     assert [deadlines.pop(10**8) for _ in range(3)] == [things[0], things[-1], None]
@@ -78,8 +78,8 @@ def test_no_call_looks_at_all_deadlines_though_nearly_all_of_them_are_outdated()
 def test_a_call_removes_a_bounded_number_of_outdated_entries_and_misses_no_deadline() -> None:
     deadlines, things, last = Deadlines[Thing](), [Thing(order) for order in range(1500)], Thing(2000)
     for thing in things:
-        deadlines.arm(thing, 5)
-    deadlines.arm(last, 7)
+        deadlines.set_due(thing, 5)
+    deadlines.set_due(last, 7)
     for thing in things:
         deadlines.disarm(thing)
     lengths = [len(deadlines._heap)]
@@ -93,6 +93,6 @@ def test_a_call_removes_a_bounded_number_of_outdated_entries_and_misses_no_deadl
 def test_many_entries_are_freed_in_pieces() -> None:
     deadlines = Deadlines[Thing]()
     for order in range(3 * EMPTIED_PER_PIECE):
-        deadlines.arm(Thing(order), order)
+        deadlines.set_due(Thing(order), order)
     left = [len(deadlines._heap) for _ in deadlines.emptying()]
     assert left == [2 * EMPTIED_PER_PIECE, EMPTIED_PER_PIECE, 0]

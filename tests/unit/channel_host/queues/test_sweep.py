@@ -20,12 +20,12 @@ class BusyQueue:
     def __init__(self, deadlines: Deadlines[Any], pieces: int) -> None:
         self._deadlines = deadlines
         self.pieces = pieces
-        deadlines.arm(self, NOW)
+        deadlines.set_due(self, NOW)
 
     def tick(self) -> None:
         self.pieces -= 1
         if self.pieces:
-            self._deadlines.arm(self, NOW)
+            self._deadlines.set_due(self, NOW)
 
 
 def test_a_step_does_a_few_pieces_of_the_work_of_a_queue() -> None:

@@ -100,7 +100,7 @@ class Sweep:
         if due is None:
             self._deadlines.disarm(hosted)
         else:
-            self._deadlines.arm(hosted, due)
+            self._deadlines.set_due(hosted, due)
 
 
 async def _let_others_run() -> None:

@@ -41,16 +41,16 @@ class TimeLimits:
         """
         limit = asyncio.get_running_loop().time() + wait_nanos / 1e9, next(self._orders), give_up
         self._limits.add(limit)
-        self._arm()
+        self._set_timer()
         return limit
 
     def remove(self, limit: TimeLimit) -> None:
         """Drop a limit. Idempotent."""
         self._limits.discard(limit)
         if not self._limits:
-            self._arm()
+            self._set_timer()
 
-    def _arm(self) -> None:
+    def _set_timer(self) -> None:
         """Set the timer for the first limit. A timer that fires too early only looks again."""
         first_s = self._limits[0][0] if self._limits else None
         if self._timer is not None and (first_s is None or first_s < self._timer_s):
@@ -73,7 +73,7 @@ class TimeLimits:
                 yield
         finally:
             self._is_working = False
-            self._arm()
+            self._set_timer()
 
     def _give_up_some(self, now_s: float) -> bool:
         """Call the functions of a few due limits. Returns True if others are due."""

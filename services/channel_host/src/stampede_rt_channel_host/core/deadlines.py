@@ -28,14 +28,14 @@ T = TypeVar("T", bound=DeadlineEntry)
 Entry = tuple[int, int, T]  # the deadline, `order`, and the thing
 OUTDATED_PER_CALL_MAX = 512
 EMPTIED_PER_PIECE = 1024
-_MOVED_PER_ARM = 4  # the entries of the old heap that one `arm` looks at
+_MOVED_PER_ARM = 4  # the entries of the old heap that one `set_due` looks at
 
 
 class Deadlines(Generic[T]):
     """Things by deadline.
 
     Each operation costs amortised O(log n). When more than about half of the entries are outdated, the heap becomes the
-    old heap, and a new heap begins. Each `arm` then takes a few entries from the old heap, and moves the entries that
+    old heap, and a new heap begins. Each `set_due` then takes a few entries from the old heap, and moves the entries that
     still count to the new heap. So no call scans all entries.
     """
 
@@ -44,7 +44,7 @@ class Deadlines(Generic[T]):
         self._old: list[Entry[T]] = []
         self._live = 0
 
-    def arm(self, thing: T, due: int) -> None:
+    def set_due(self, thing: T, due: int) -> None:
         """Set the deadline of a thing. The new deadline replaces the former one."""
         if thing.due == due:
             return

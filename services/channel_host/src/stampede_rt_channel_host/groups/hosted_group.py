@@ -169,7 +169,7 @@ class HostedGroup:
                 gets.wake()
             self.cut_observers.wake()
         self.member_observers.wake()
-        self._arm()
+        self._set_idle_timer()
 
     def end(self, error: StampedeError) -> None:
         """End the waits of the group's callers and the streams of its readers with `error`.
@@ -252,7 +252,7 @@ class HostedGroup:
             spec_version=self.record.spec_version,
         )
 
-    def _arm(self) -> None:
+    def _set_idle_timer(self) -> None:
         """Set the timer for the next member of this host that becomes idle, which may move the cut without a put."""
         if self._idle_timer is not None:
             self._idle_timer.cancel()

@@ -321,13 +321,13 @@ class HostedQueue(ReplicatedQueue):
         if self.queue.has_dead_letters:
             self._on_dead_letters(self)
         due = self.queue.next_deadline()
-        self._arm(due)
+        self._set_timer(due)
         due = self.queue.next_expiry() if due is None else due
         # an earlier deadline stays: the sweep may look at a queue too early
         if due is not None and (self.due is None or due < self.due):
-            self._deadlines.arm(self, due)
+            self._deadlines.set_due(self, due)
 
-    def _arm(self, due: int | None) -> None:
+    def _set_timer(self, due: int | None) -> None:
         """Set the timer to `due`, unless it fires earlier already. A timer that fires too early does no harm."""
         if due is None or (self._timer_due is not None and self._timer_due <= due):
             return

@@ -104,7 +104,7 @@ class WaitingGets:
         self._arrivals += 1
         get = WaitingGet(pending, self._arrivals, on_outcome, self.remove)
         self._insert(get, wake)
-        self._arm()
+        self._set_timer()
         if wait_nanos >= 0:
             get.limit(wait_nanos, self._limits, self._give_up)
         return get
@@ -116,7 +116,7 @@ class WaitingGets:
             self._leave(get)
             self._note_instant(get, None)
             if not len(self._by_instant):
-                self._arm()
+                self._set_timer()
 
     def changed(self, now: int) -> None:
         """Look at the gets that a change may release: a new item, an advance, another policy, or a later cut.
@@ -127,7 +127,7 @@ class WaitingGets:
         found = deque(release.take(self._by_need, GETS_PER_PIECE + 1))
         if not self._releases and len(found) <= GETS_PER_PIECE:
             self._look_at(found, self._source, now)
-            self._arm()
+            self._set_timer()
         if found:
             self._keep(GetRelease(release.reach, release.arrivals), now)
             self._work()
@@ -166,7 +166,7 @@ class WaitingGets:
         finally:
             self._working = False
             self._drop_releases()
-            self._arm()
+            self._set_timer()
 
     def _look_at_some(self) -> bool:
         """Look at the next few gets. Returns True if others are left."""
@@ -238,7 +238,7 @@ class WaitingGets:
         """The earliest instant at which the clock may release a get; AFTER_ALL: there is no such instant."""
         return instant_key(self._by_instant[0])[0] if len(self._by_instant) else AFTER_ALL
 
-    def _arm(self) -> None:
+    def _set_timer(self) -> None:
         """Set the timer for the first instant. A timer that fires early does no harm."""
         first = self._first_instant()
         if self._timer is not None and not self._timer_instant <= first < AFTER_ALL:

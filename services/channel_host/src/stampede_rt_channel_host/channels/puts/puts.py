@@ -172,7 +172,7 @@ class ChannelPuts:
         offered = 0
         while self._waiting_runs and self._may_offer:
             if offered >= ITEMS_OFFERED_MAX:
-                self._arm(now, now)
+                self._set_timer(now, now)
                 break
             offered += self._waiting_runs[0].undecided_items
             if not self._offer_waiting(self._waiting_runs[0], now):
@@ -298,7 +298,7 @@ class ChannelPuts:
         if is_done:
             self._finish(run, now)
         else:
-            self._arm(outcome.retry_at, now)
+            self._set_timer(outcome.retry_at, now)
         if outcome.run is not None:
             if not is_done:
                 self._remember(run, now)
@@ -330,7 +330,7 @@ class ChannelPuts:
         self.retries.record(run.producer_id, run.first_number, judged, run.caller_name)
         return judged
 
-    def _arm(self, retry_at: int | None, now: int) -> None:
+    def _set_timer(self, retry_at: int | None, now: int) -> None:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None

@@ -194,7 +194,7 @@ class PlaceTable:
     def renew(self, place: Place, lease_end: int) -> None:
         """Let the valid lease of a place end at `lease_end`."""
         place.lease_end = lease_end
-        self._leases.arm(place, lease_end)
+        self._leases.set_due(place, lease_end)
 
     def set_caller_name(self, place: Place, caller_name: str) -> None:
         """Set the name of the caller that has the place; empty if it is not known.

@@ -206,7 +206,7 @@ class EnqueueLine:
         self._line[run] = None
         if run.wait_nanos is not None:
             at_least = MAKING_ROOM_NANOS if self._is_making_room else 0
-            self._deadlines.arm(run, now + max(run.wait_nanos, at_least))
+            self._deadlines.set_due(run, now + max(run.wait_nanos, at_least))
 
     @property
     def _is_making_room(self) -> bool:

@@ -212,7 +212,7 @@ def enter(queue_items: QueueItems, queue_leases: QueueLeases, state: ItemState, 
         leased = leased or Lease(lease.delivery_id, item, number, taker, now - lease.leased_ago_nanos)
         queue_leases.enter(leased, now + lease.lease_nanos)
     if state.delay_nanos > 0:
-        queue_items.delays.arm(item, now + state.delay_nanos)
+        queue_items.delays.set_due(item, now + state.delay_nanos)
     if state.is_leaving:
         queue_items.set_leaving(item)
     queue_items.refresh(item)

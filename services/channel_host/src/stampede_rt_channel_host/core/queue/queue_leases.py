@@ -94,7 +94,7 @@ class QueueLeases:
         self._queue_items.leased += not lease.item.leases
         lease.item.leases[lease.taker.taker_id] = lease.order
         self.leases[lease.order] = lease
-        self._deadlines.arm(lease, expires - self._unserved_nanos)
+        self._deadlines.set_due(lease, expires - self._unserved_nanos)
         self._queue_items.note_change(lease.item, lease.order)
 
     def settle(self, taker_id: int, settlement: Settlement, now: int) -> SettlementResult:
@@ -213,7 +213,7 @@ class QueueLeases:
             self._queue_items.refresh(item)
 
     def _extend(self, lease: Lease, verdict: Extend, now: int) -> SettlementResult:
-        self._deadlines.arm(lease, now + verdict.lease_nanos - self._unserved_nanos)
+        self._deadlines.set_due(lease, now + verdict.lease_nanos - self._unserved_nanos)
         self._queue_items.note_change(lease.item, lease.order)
         return SettlementResult(lease.order, None, verdict.lease_nanos)
 
@@ -240,7 +240,7 @@ class QueueLeases:
             self.give_up(item)
             return
         if not_before is not None and (item.due is None or item.due < not_before):
-            self._queue_items.delays.arm(item, not_before)
+            self._queue_items.delays.set_due(item, not_before)
         self._put_back(item)
 
     def _put_back(self, item: TrackedItem) -> None:
