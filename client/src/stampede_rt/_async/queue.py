@@ -282,18 +282,18 @@ async def pending_at(session: Session, locator: Locator, limit: int) -> list[Pen
 
     If the queue moves to another host meanwhile, reads the list again from its beginning.
     """
-    most = count_of("limit", limit) or 1
+    messages_max = count_of("limit", limit) or 1
 
     async def pages_at(binding: Binding, timeout_s: float) -> list[PendingMessage]:
         endpoint, deadline_s = session.endpoints.to(binding.target), monotonic_s() + timeout_s
         found: list[PendingMessage] = []
         after, more = 0, True
-        while more and len(found) < most:  # a page begins after the last delivery of the page before
+        while more and len(found) < messages_max:  # a page begins after the last delivery of the page before
             request = queue_pb.ListPendingRequest(
                 queue_id=binding.subject_id,
                 epoch=binding.epoch,
                 after_delivery_id=after,
-                page_size=min(most - len(found), PENDING_PAGE_MAX),
+                page_size=min(messages_max - len(found), PENDING_PAGE_MAX),
             )
             page = await endpoint.call(endpoint.queues.ListPending, request, left_s(deadline_s))
             found += map(pending_message, page.deliveries)

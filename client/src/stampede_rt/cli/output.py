@@ -116,9 +116,9 @@ def policy_text(policy: Policy) -> str:
 
 
 def _archive_text(policy: Policy) -> str:
-    age, most = policy.archive_nanos, policy.archive_bytes
-    limits = [] if age is None else ["for ever" if age == FOREVER_NANOS else format_duration(age)]
-    limits += [] if most is None else [f"up to {bytes_text(most)}"]
+    age_nanos, bytes_max = policy.archive_nanos, policy.archive_bytes
+    limits = [] if age_nanos is None else ["for ever" if age_nanos == FOREVER_NANOS else format_duration(age_nanos)]
+    limits += [] if bytes_max is None else [f"up to {bytes_text(bytes_max)}"]
     return " ".join(limits)
 
 

@@ -55,19 +55,19 @@ def _runs_of(
     The topics have the order of their first items. A channel has a topic for each of its content types.
     """
     found: dict[Topic, list[int]] = {}
-    most = sum(map(len, unnamed.values())) + sum(map(len, named.values()))
+    messages_max = sum(map(len, unnamed.values())) + sum(map(len, named.values()))
     try:
         for run in read_json(facts)["runs"]:
             name, incarnation = str(run["topic"]), incarnation_of(run["incarnation"])
             first_seq, count = whole_number(run["first_seq"]), whole_number(run["count"])
-            if count > most:  # more items than the chunk has messages
+            if count > messages_max:  # more items than the chunk has messages
                 return {}
             known = named.get((name, incarnation), ())
             sequences = ((first_seq + at) & SEQUENCE_MASK for at in range(count))
             if rest := [one for one in sequences if one not in known]:
                 topic = Topic(name, encoding_of(str(run["content_type"])), incarnation)
                 found.setdefault(topic, []).extend(rest)
-                most -= len(rest)
+                messages_max -= len(rest)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return {}
     return found

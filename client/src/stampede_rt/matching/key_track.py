@@ -58,10 +58,10 @@ class KeyTrack:
         """Forget the keys before `time`."""
         del self._keys[: bisect_left(self._keys, (time, -1))]
 
-    def keep_last(self, most: int) -> None:
-        """Forget the earliest keys beyond `most`."""
-        if len(self._keys) > most:
-            del self._keys[:-most]
+    def keep_last(self, keys_max: int) -> None:
+        """Forget the earliest keys beyond `keys_max`."""
+        if len(self._keys) > keys_max:
+            del self._keys[:-keys_max]
 
 
 def nearer(time: int, earlier: int | None, later: int | None, tolerance: int) -> int | None:

@@ -25,10 +25,10 @@ class WorkingThreads(ThreadPoolExecutor):
 
     def __init__(self, max_workers: int, thread_name_prefix: str) -> None:
         super().__init__(max_workers, thread_name_prefix)
-        self._most, self._name = max_workers, thread_name_prefix
+        self._threads_max, self._name = max_workers, thread_name_prefix
         self._calls: _Calls = SimpleQueue()
         self._free = threading.Semaphore(0)  # counts the threads that wait for a call
-        self._made: list[threading.Thread] = []
+        self._started_threads: list[threading.Thread] = []
         self._guard = threading.Lock()
         self._end = weakref.finalize(self, self._calls.put, None)
         self._end.atexit = False
@@ -42,19 +42,19 @@ class WorkingThreads(ThreadPoolExecutor):
             if not self._end.alive:
                 raise RuntimeError(f"the threads {self._name} have been shut down")
             self._calls.put((answer, partial(fn, *args, **kwargs)))
-            if len(self._made) < self._most and not self._free.acquire(blocking=False):
+            if len(self._started_threads) < self._threads_max and not self._free.acquire(blocking=False):
                 self._make_thread()
         return answer
 
     def _make_thread(self) -> None:
-        made = threading.Thread(
+        thread = threading.Thread(
             target=_work,
             args=(self._calls, self._free),
             name=f"{self._name}_{len(self._made)}",
             daemon=True,
         )
-        self._made.append(made)
-        made.start()
+        self._started_threads.append(thread)
+        thread.start()
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End the threads after they have performed all submitted calls.
@@ -69,7 +69,7 @@ class WorkingThreads(ThreadPoolExecutor):
                         call[0].cancel()
             self._end()
         if wait:
-            for thread in self._made:
+            for thread in self._started_threads:
                 thread.join()
 
 

@@ -150,14 +150,14 @@ class InProcessPutStream:
 
     def _put_all(self) -> list[pb.PutAck | HeldAck]:
         until_s, left_bytes, acks = time.monotonic() + STEP_SECONDS_MAX, STEP_BYTES_MAX, list[pb.PutAck | HeldAck]()
-        most = HELD_ACKS_MAX - len(self._held)
+        acks_max = HELD_ACKS_MAX - len(self._held)
         try:
             hosted = _find(self._store, *self._channel)
         except StampedeError as error:
             return [self._refused(run, error) for run in self._taken()]
         # the archive notes the instant at which the host accepted each run
         with nullcontext() if hosted.recording is not None else hosted.puts.announced_together():
-            while self._sent and not self.is_over and len(acks) < most:
+            while self._sent and not self.is_over and len(acks) < acks_max:
                 if acks and (left_bytes <= 0 or time.monotonic() >= until_s):
                     break
                 run = self._sent.popleft()

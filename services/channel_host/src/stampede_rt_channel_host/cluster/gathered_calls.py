@@ -27,13 +27,13 @@ LONG_CALL_INTERVAL_S_MAX.
 class GatheredCalls(Generic[Request, Answer]):
     """Requests that come while a call is under way go together into the next call. So a lone request never waits.
 
-    `ask` makes a call for some requests, `most` at most. It returns an answer or an error for each, in their order.
+    `ask` makes a call for some requests, `requests_max` at most. It returns an answer or an error for each, in their order.
     """
 
     def __init__(
         self,
         ask: Callable[[Sequence[Request]], Awaitable[Sequence[Answer | StampedeError]]],
-        most: int,
+        requests_max: int,
         interval_s: float = 0.0,
     ) -> None:
         """`interval_s`: the least time between the beginnings of two calls; 0: no call waits.
@@ -41,7 +41,7 @@ class GatheredCalls(Generic[Request, Answer]):
         After a long call the time is longer. Requests that come earlier wait, and go together into the next call.
         """
         self._ask = ask
-        self._most = most
+        self._requests_max = requests_max
         self._interval_s = interval_s
         self._not_before_s = 0.0
         self._waiting: deque[tuple[Request, asyncio.Future[Answer]]] = deque()
@@ -60,7 +60,7 @@ class GatheredCalls(Generic[Request, Answer]):
         try:
             while self._waiting:
                 await self._pause()
-                lookups = [self._waiting.popleft() for _ in range(min(self._most, len(self._waiting)))]
+                lookups = [self._waiting.popleft() for _ in range(min(self._requests_max, len(self._waiting)))]
                 # The caller of a done request was cancelled.
                 if lookups := [one for one in lookups if not one[1].done()]:
                     _deal([answer for _, answer in lookups], await self._answers([request for request, _ in lookups]))
@@ -70,7 +70,7 @@ class GatheredCalls(Generic[Request, Answer]):
     async def _pause(self) -> None:
         """Wait until the time of the next call, unless enough requests for a whole call wait already."""
         wait_s = self._not_before_s - asyncio.get_running_loop().time()
-        if wait_s > 0 and len(self._waiting) < self._most:
+        if wait_s > 0 and len(self._waiting) < self._requests_max:
             await sleep(wait_s)
         self._not_before_s = asyncio.get_running_loop().time() + self._interval_s
 

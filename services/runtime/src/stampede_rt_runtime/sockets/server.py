@@ -85,8 +85,11 @@ class SocketServer:
         self._streams: dict[StreamSocket, _Stream] = {}
         # Connections without an opening. TCP connections count separately, so that other machines do not keep local
         # callers out.
-        most = limits.refusals_max
-        self._unopened = {True: UnopenedStreams(most, most), False: UnopenedStreams(most, -(-most * 3 // 4))}
+        connections_max = limits.refusals_max
+        self._unopened = {
+            True: UnopenedStreams(connections_max, connections_max),
+            False: UnopenedStreams(connections_max, -(-connections_max * 3 // 4)),
+        }
         # one line for each credential: a caller with a thousand openings delays other callers by one opening only
         self._openings: OrderedDict[str, deque[tuple[_Stream, pb.StreamOpening]]] = OrderedDict()
         self._changed = asyncio.Event()

@@ -11,8 +11,8 @@ class UnopenedStreams:
     """Limits the number of these connections, in all and for each machine (decision 0153). So one machine leaves room
     for the others."""
 
-    def __init__(self, most: int, per_machine_max: int) -> None:
-        self._most, self._per_machine_max = most, per_machine_max
+    def __init__(self, connections_max: int, per_machine_max: int) -> None:
+        self._connections_max, self._per_machine_max = connections_max, per_machine_max
         self._all: set[StreamSocket] = set()
         self._counts_by_machine: Counter[str] = Counter()
 
@@ -21,7 +21,7 @@ class UnopenedStreams:
 
     def has_room_for(self, machine: str) -> bool:
         """Whether the service may take another connection of this machine."""
-        return len(self._all) < self._most and self._counts_by_machine[machine] < self._per_machine_max
+        return len(self._all) < self._connections_max and self._counts_by_machine[machine] < self._per_machine_max
 
     def add(self, connection: StreamSocket) -> None:
         """Note a new connection."""

@@ -200,10 +200,10 @@ class HeldAcks:
         if len(self._acks) == 1:
             self._watch_first()
 
-    def take(self, most: int) -> list[pb.PutAck]:
-        """Take the first acks that are due, `most` at most."""
+    def take(self, acks_max: int) -> list[pb.PutAck]:
+        """Take the first acks that are due, `acks_max` at most."""
         taken: list[pb.PutAck] = []
-        while len(taken) < most and self.is_due:
+        while len(taken) < acks_max and self.is_due:
             ack = self._acks.popleft()
             taken.append(ack if isinstance(ack, pb.PutAck) else ack.take())
         if taken:

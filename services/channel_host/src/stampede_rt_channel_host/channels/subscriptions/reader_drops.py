@@ -97,12 +97,12 @@ class Readers:
         """The open subscriptions to one channel, at most `count`, in pieces. The subscriptions that missed the most
         come first.
         """
-        among, most = self._channels.get(name), list[ReaderDrops]()
+        among, largest_drops = self._channels.get(name), list[ReaderDrops]()
         for at, part in enumerate(batched([] if among is None else [*among.readers], READERS_PER_PIECE)):
             if at:
                 yield
-            most = nlargest(count, [*most, *part], key=_total)
-        return most
+            largest_drops = nlargest(count, [*largest_drops, *part], key=_total)
+        return largest_drops
 
     def dropped(self, name: str) -> int:
         """The items that the open subscriptions to one channel missed."""

@@ -17,8 +17,8 @@ class MoveSlots:
 
     def __init__(self, direction: str, *, of_queues: bool = False) -> None:
         self._what, self._direction = "queues" if of_queues else "channels", direction
-        self._most = QUEUE_MOVES_MAX if of_queues else MOVES_MAX
-        self._most_of_one = round(OF_ONE_SHARE * self._most)
+        self._moves_max = QUEUE_MOVES_MAX if of_queues else MOVES_MAX
+        self._moves_of_one_max = round(OF_ONE_SHARE * self._moves_max)
         self._creators: Counter[str] = Counter()
 
     @property
@@ -30,12 +30,12 @@ class MoveSlots:
         """Raises Overloaded if too many channels move now, or if too many of them have the same creator as this
         channel.
         """
-        if self.under_way >= self._most:
-            raise Overloaded(f"{self._most} {self._what} move {self._direction} already; wait until one has moved")
+        if self.under_way >= self._moves_max:
+            raise Overloaded(f"{self._moves_max} {self._what} move {self._direction} already; wait until one has moved")
         creator = record.created_by
-        if _has_name(creator) and self._creators[creator] >= self._most_of_one:
+        if _has_name(creator) and self._creators[creator] >= self._moves_of_one_max:
             raise Overloaded(
-                f"{creator} has created {self._most_of_one} of the {self._what} that move {self._direction} already; "
+                f"{creator} has created {self._moves_of_one_max} of the {self._what} that move {self._direction} already; "
                 "wait until one has moved"
             )
 

@@ -135,6 +135,6 @@ class ItemBlocks:
         return WholeBlocks(sum(self._items[:blocks]), sum(self._payload_bytes[:blocks]), self._ends[blocks - 1])
 
 
-def _within(counts: Iterator[int], most: int) -> int:
-    """The number of first counts whose sum is at most `most`."""
-    return sum(1 for _ in takewhile(lambda total: total <= most, accumulate(counts)))
+def _within(counts: Iterator[int], total_max: int) -> int:
+    """The number of first counts whose sum is at most `total_max`."""
+    return sum(1 for _ in takewhile(lambda total: total <= total_max, accumulate(counts)))

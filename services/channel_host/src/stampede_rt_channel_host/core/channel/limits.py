@@ -118,11 +118,11 @@ def _check(policy: Policy) -> None:
 
 
 def _check_adaptive(policy: Policy) -> None:
-    least, most = policy.max_age_nanos, policy.max_age_unconsumed_nanos
-    if most is not None and (least is None or not least <= most <= MAX_INSTANT):
-        stated = "is not stated" if least is None else f"is {format_duration(least)}"
+    max_age, max_unconsumed = policy.max_age_nanos, policy.max_age_unconsumed_nanos
+    if max_unconsumed is not None and (max_age is None or not max_age <= max_unconsumed <= MAX_INSTANT):
+        stated = "is not stated" if max_age is None else f"is {format_duration(max_age)}"
         raise InvalidArgument(
-            f"max_age_unconsumed is {format_duration(most)} and max_age, which it prolongs for consumers that lag, "
+            f"max_age_unconsumed is {format_duration(max_unconsumed)} and max_age, which it prolongs for consumers that lag, "
             f"{stated}; state both, max_age_unconsumed not below max_age"
         )
 

@@ -23,7 +23,7 @@ class WantedChannels:
         self._requested: dict[str, dict[bytes, None]] = {}  # by creator: the channels of `_creator_of`, the newest last
         self._left_out: dict[str, dict[bytes, None]] = {}  # by creator: the other channels of the creator's groups
         self._with_count: dict[int, dict[str, None]] = {}  # by number of channels in `_requested`: the creators
-        self._most = 0  # the highest key of `_with_count`
+        self._largest_count = 0  # the highest key of `_with_count`
 
     def __bool__(self) -> bool:
         return bool(self._creators)
@@ -41,7 +41,7 @@ class WantedChannels:
     @property
     def largest_creator(self) -> str:
         """The creator for whom most channels count. There is at least one channel."""
-        return next(iter(self._with_count[self._most]))
+        return next(iter(self._with_count[self._largest_count]))
 
     def add(self, creator: str, channel_ids: Iterable[bytes]) -> None:
         """Note that a group of this creator has these channels now."""
@@ -79,12 +79,14 @@ class WantedChannels:
 
         Returns False if there is no such creator.
         """
-        while self._most > len(self._requested.get(creator, ())) + 1:
+        while self._largest_count > len(self._requested.get(creator, ())) + 1:
             largest = self.largest_creator
             channel_id = next(reversed(self._requested[largest]))
             creators = self._creators[channel_id]
             self._ask_no_more(channel_id)
-            next_creator = next((one for one in creators if len(self._requested.get(one, ())) + 1 < self._most), None)
+            next_creator = next(
+                (one for one in creators if len(self._requested.get(one, ())) + 1 < self._largest_count), None
+            )
             if next_creator is None:
                 for one in creators:
                     self._left_out.setdefault(one, {})[channel_id] = None
@@ -125,7 +127,7 @@ class WantedChannels:
                 self._left_out.pop(creator, None)
 
     def _note_count(self, creator: str, step: int) -> None:
-        """Enter the creator under its new number of channels, and update `_most`. `step`: 1 or -1."""
+        """Enter the creator under its new number of channels, and update `_largest_count`. `step`: 1 or -1."""
         count = len(self._requested.get(creator, ()))
         if count:
             creators = self._with_count[count]
@@ -134,5 +136,5 @@ class WantedChannels:
                 del self._with_count[count]
         if count + step:
             self._with_count.setdefault(count + step, {})[creator] = None
-        if count + step > self._most or (count == self._most and count not in self._with_count):
-            self._most = count + step
+        if count + step > self._largest_count or (count == self._largest_count and count not in self._with_count):
+            self._largest_count = count + step
