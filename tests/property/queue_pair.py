@@ -175,7 +175,7 @@ class QueuePair:
                 self.core.sending(mine)
                 other.unsent = []
             else:
-                self.core.sent(mine, self.clock)
+                self.core.note_sent(mine, self.clock)
                 self.oracle.sent(other, self.clock)
             self.check()
 

@@ -34,7 +34,7 @@ def main() -> int:
     with (
         mock.patch("stampede_rt_supernode.app.DirectoryReplica", EarlierReplica),
         mock.patch("stampede_rt_supernode.joining.preparing.DirectoryReplica", EarlierReplica),
-        mock.patch("stampede_rt_supernode.joining.volunteering.HIGHEST_LEVEL", EARLIER_LEVEL),
+        mock.patch("stampede_rt_supernode.joining.join_requests.HIGHEST_LEVEL", EARLIER_LEVEL),
         mock.patch("stampede_rt_supernode.app.access_service_pb2_grpc"),
     ):
         from stampede_rt_supernode.app import main as run

@@ -89,7 +89,7 @@ def main() -> int:
     with (
         mock.patch("stampede_rt_supernode.app.DirectoryReplica", NewerReplica),
         mock.patch("stampede_rt_supernode.joining.preparing.DirectoryReplica", NewerReplica),
-        mock.patch("stampede_rt_supernode.joining.volunteering.HIGHEST_LEVEL", NEW_LEVEL),
+        mock.patch("stampede_rt_supernode.joining.join_requests.HIGHEST_LEVEL", NEW_LEVEL),
         mock.patch("stampede_rt_supernode.servicers.submission.encode_command", encode_newer),
     ):
         from stampede_rt_supernode.app import main as run

@@ -47,7 +47,7 @@ class Core:
                 found.setdefault(taker.taker_id, []).extend(
                     one.run.first_seq + position for one in batch.slices for position in range(one.lo, one.hi)
                 )
-                self.queue.sent(taker, self.now)
+                self.queue.note_sent(taker, self.now)
         return found
 
     def ack(self, taker_id: int, *delivery_ids: int) -> list[str]:

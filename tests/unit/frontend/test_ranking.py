@@ -10,7 +10,7 @@ from stampede_rt_frontend.ranking import Supernode, rank, smooth
 
 def node(name: str, *, healthy: bool = True, zone: str = "", trip: int | None = None) -> Supernode:
     return Supernode(
-        supernode_id=name, target=f"{name}:1", zone=zone, answered=healthy, healthy=healthy, round_trip_nanos=trip
+        supernode_id=name, target=f"{name}:1", zone=zone, has_answered=healthy, healthy=healthy, round_trip_nanos=trip
     )
 
 

@@ -26,13 +26,13 @@ def members(*names: str, term: int = 1, index: int = 1, leader: str = "", zone: 
 
 
 def known(roster: SupernodeRoster) -> dict[str, Supernode]:
-    return {one.supernode_id: one for one in roster.known()}
+    return {one.supernode_id: one for one in roster.supernodes()}
 
 
 def test_at_first_a_front_end_probes_the_seeds_and_lists_no_supernode() -> None:
     roster = SupernodeRoster(("s1:1", "s2:1"))
     assert roster.targets() == ("s1:1", "s2:1")
-    assert roster.known() == []
+    assert roster.supernodes() == []
     assert not roster.any_answered()
 
 
@@ -44,18 +44,18 @@ def test_the_number_of_seeds_has_bounds(count: int) -> None:
 
 def test_callers_get_a_seed_that_answers_with_its_round_trip() -> None:
     roster = SupernodeRoster(("s1:1",))
-    roster.answered("s1:1", answer("s1", trip=800))
-    roster.answered("s1:1", answer("s1", trip=1600))
+    roster.note_answer("s1:1", answer("s1", trip=800))
+    roster.note_answer("s1:1", answer("s1", trip=1600))
     assert known(roster)["s1"].round_trip_nanos == 900
     assert roster.cluster_id == "c1"
 
 
 def test_a_seed_that_is_no_longer_a_member_is_listed_to_no_caller_but_still_probed() -> None:
     roster = SupernodeRoster(("s1:1", "s2:1"))
-    roster.answered("s1:1", answer("s1"))
-    roster.answered("s2:1", answer("s2"))
+    roster.note_answer("s1:1", answer("s1"))
+    roster.note_answer("s2:1", answer("s2"))
     roster.update_members(members("s1", "s2"))
-    roster.failed("s1:1", "gone")
+    roster.note_failure("s1:1", "gone")
     roster.update_members(members("s2", "s3", index=2))
     assert sorted(known(roster)) == ["s2", "s3"]
     assert "s1:1" in roster.targets()
@@ -63,14 +63,14 @@ def test_a_seed_that_is_no_longer_a_member_is_listed_to_no_caller_but_still_prob
 
 def test_an_answer_without_a_measurement_keeps_the_old_one() -> None:
     roster = SupernodeRoster(("s1:1",))
-    roster.answered("s1:1", answer("s1", trip=800))
-    roster.answered("s1:1", answer("s1", trip=None))
+    roster.note_answer("s1:1", answer("s1", trip=800))
+    roster.note_answer("s1:1", answer("s1", trip=None))
     assert known(roster)["s1"].round_trip_nanos == 800
 
 
 def test_a_supernode_without_a_leader_answers_but_is_not_healthy() -> None:
     roster = SupernodeRoster(("s1:1",))
-    roster.answered("s1:1", answer("s1", ready=False, cluster=""))
+    roster.note_answer("s1:1", answer("s1", ready=False, cluster=""))
     assert roster.any_answered()
     assert not roster.any_healthy()
     assert not known(roster)["s1"].healthy
@@ -78,7 +78,7 @@ def test_a_supernode_without_a_leader_answers_but_is_not_healthy() -> None:
 
 def test_members_are_learned_from_the_directory_and_probed_from_then_on() -> None:
     roster = SupernodeRoster(("s1:1",))
-    roster.answered("s1:1", answer("s1"))
+    roster.note_answer("s1:1", answer("s1"))
     roster.update_members(members("s1", "s2", leader="s2", zone="z"))
     assert roster.targets() == ("s1:1", "s2:1")
     assert known(roster)["s2"].is_leader
@@ -128,43 +128,43 @@ def test_a_member_list_has_a_bound_and_the_seeds_stay_within_it() -> None:
 
 def test_a_failure_is_remembered_until_the_next_answer() -> None:
     roster = SupernodeRoster(("s1:1",))
-    roster.answered("s1:1", answer("s1"))
-    roster.failed("s1:1", "refused")
+    roster.note_answer("s1:1", answer("s1"))
+    roster.note_failure("s1:1", "refused")
     assert roster.failures() == ["s1:1: refused"]
     assert not known(roster)["s1"].healthy
-    roster.answered("s1:1", answer("s1"))
+    roster.note_answer("s1:1", answer("s1"))
     assert roster.failures() == []
     assert known(roster)["s1"].healthy
 
 
 def test_a_probe_of_a_removed_member_changes_nothing() -> None:
     roster = SupernodeRoster(("s1:1",))
-    roster.answered("gone:1", answer("gone"))
-    roster.failed("gone:1", "refused")
+    roster.note_answer("gone:1", answer("gone"))
+    roster.note_failure("gone:1", "refused")
     assert roster.targets() == ("s1:1",)
     assert roster.failures() == []
 
 
 def test_a_supernode_with_two_addresses_is_listed_once_with_the_listed_address() -> None:
     roster = SupernodeRoster(("alias:1",))
-    roster.answered("alias:1", answer("s1"))
+    roster.note_answer("alias:1", answer("s1"))
     roster.update_members(members("s1"))
-    roster.answered("s1:1", answer("s1"))
-    assert [one.target for one in roster.known()] == ["s1:1"]
+    roster.note_answer("s1:1", answer("s1"))
+    assert [one.target for one in roster.supernodes()] == ["s1:1"]
 
 
 def test_an_address_that_answers_comes_before_a_listed_one_that_does_not() -> None:
     roster = SupernodeRoster(("alias:1",))
-    roster.answered("alias:1", answer("s1"))
+    roster.note_answer("alias:1", answer("s1"))
     roster.update_members(members("s1"))
-    roster.failed("s1:1", "not reachable from here")
-    assert [one.target for one in roster.known()] == ["alias:1"]
+    roster.note_failure("s1:1", "not reachable from here")
+    assert [one.target for one in roster.supernodes()] == ["alias:1"]
 
 
 def test_a_supernode_of_another_cluster_is_left_out_while_ours_is_healthy() -> None:
     roster = SupernodeRoster(("s1:1", "x1:1"))
-    assert roster.answered("s1:1", answer("s1"))
-    assert not roster.answered("x1:1", answer("x1", cluster="c2"))
+    assert roster.note_answer("s1:1", answer("s1"))
+    assert not roster.note_answer("x1:1", answer("x1", cluster="c2"))
     assert list(known(roster)) == ["s1"]
     [failure] = roster.failures()
     assert failure.startswith("x1:1: belongs to another cluster, c2, and this front-end serves c1;")
@@ -172,30 +172,30 @@ def test_a_supernode_of_another_cluster_is_left_out_while_ours_is_healthy() -> N
 
 def test_supernodes_of_another_cluster_are_left_out_even_if_no_supernode_of_the_own_cluster_answers() -> None:
     roster = SupernodeRoster(("s1:1", "s2:1"))
-    roster.answered("s1:1", answer("s1"))
+    roster.note_answer("s1:1", answer("s1"))
     for target in roster.targets():
-        roster.failed(target, "no answer in time")
-    assert not roster.answered("s2:1", answer("r", cluster="c2"))
+        roster.note_failure(target, "no answer in time")
+    assert not roster.note_answer("s2:1", answer("r", cluster="c2"))
     assert roster.cluster_id == "c1"
-    assert roster.known() == [one for one in roster.known() if not one.healthy]
+    assert roster.supernodes() == [one for one in roster.supernodes() if not one.healthy]
 
 
 def test_a_successor_cluster_is_accepted_when_the_own_cluster_is_gone() -> None:
     roster = SupernodeRoster(("s1:1", "s2:1"))
-    roster.answered("s1:1", answer("s1"))
-    assert not roster.answered("s2:1", answer("r", cluster="c2", former=("c1",)))
-    roster.failed("s1:1", "refused")
-    assert roster.answered("s2:1", answer("r", cluster="c2", former=("c1",)))
+    roster.note_answer("s1:1", answer("s1"))
+    assert not roster.note_answer("s2:1", answer("r", cluster="c2", former=("c1",)))
+    roster.note_failure("s1:1", "refused")
+    assert roster.note_answer("s2:1", answer("r", cluster="c2", former=("c1",)))
     assert roster.cluster_id == "c2"
 
 
 def test_a_front_end_takes_up_a_cluster_founded_anew_at_the_addresses_of_a_cluster_in_memory() -> None:
     roster = SupernodeRoster(("s1:1",))
-    roster.answered("s1:1", answer("s1", cluster="memory-1"))
+    roster.note_answer("s1:1", answer("s1", cluster="memory-1"))
     roster.update_members(members("s1", "s2", term=7, index=70))
-    roster.failed("s1:1", "refused")
-    assert not roster.answered("s1:1", answer("n1", cluster="c2")), "a restored copy: the other members may live"
-    assert roster.answered("s1:1", answer("n1", cluster="memory-2"))
+    roster.note_failure("s1:1", "refused")
+    assert not roster.note_answer("s1:1", answer("n1", cluster="c2")), "a restored copy: the other members may live"
+    assert roster.note_answer("s1:1", answer("n1", cluster="memory-2"))
     roster.update_members(members("n1", term=1, index=1))
     assert roster.cluster_id == "memory-2"
     assert list(known(roster)) == ["n1"]
@@ -231,8 +231,8 @@ def test_seeds_stay_probed_ids_are_listed_once_and_health_follows_the_last_probe
             last_probe[target] = kind == "answered" and accepted and what.ready
         last_probe = {target: last_probe.get(target, False) for target in roster.targets()}
         assert {"s1:1", "s9:1"} <= set(roster.targets())
-        ids = [one.supernode_id for one in roster.known()]
+        ids = [one.supernode_id for one in roster.supernodes()]
         assert len(ids) == len(set(ids))
         assert "" not in ids
         assert roster.any_healthy() == any(last_probe.values())
-        assert all(one.healthy == last_probe[one.target] for one in roster.known())
+        assert all(one.healthy == last_probe[one.target] for one in roster.supernodes())

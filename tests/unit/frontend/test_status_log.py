@@ -22,7 +22,7 @@ def started() -> tuple[SupernodeRoster, StatusLog]:
 def test_unreachable_supernodes_are_not_reported_in_the_first_seconds() -> None:
     roster, status_log = started()
     for target in roster.targets():
-        roster.failed(target, "connection refused")
+        roster.note_failure(target, "connection refused")
     assert list(status_log.changes(roster, 101.0)) == []
     assert len(list(status_log.changes(roster, LATER_S))) == 3
 
@@ -30,16 +30,16 @@ def test_unreachable_supernodes_are_not_reported_in_the_first_seconds() -> None:
 def test_the_loss_of_a_supernode_and_its_return_are_reported_once_each() -> None:
     roster, status_log = started()
     assert list(status_log.changes(roster, LATER_S)) == []
-    roster.answered("a:1", answer(ready=True))
+    roster.note_answer("a:1", answer(ready=True))
     assert [note.text for note in status_log.changes(roster, LATER_S)] == [
         "a supernode can serve",
         "the directory can serve: callers can connect",
     ]
     for _ in range(3):
-        roster.failed("b:1", "connection refused")
+        roster.note_failure("b:1", "connection refused")
         changes = list(status_log.changes(roster, LATER_S))
     assert changes == []
-    roster.answered("b:1", answer(ready=True))
+    roster.note_answer("b:1", answer(ready=True))
     assert [(note.text, note.facts) for note in status_log.changes(roster, LATER_S)] == [
         ("a supernode can serve", {"supernode": "b:1"})
     ]
@@ -48,19 +48,19 @@ def test_the_loss_of_a_supernode_and_its_return_are_reported_once_each() -> None
 def test_the_loss_of_the_majority_and_its_return_are_reported_once_each() -> None:
     roster, status_log = started()
     for target in roster.targets():
-        roster.answered(target, answer(ready=True))
+        roster.note_answer(target, answer(ready=True))
     list(status_log.changes(roster, LATER_S))
     lines: list[str] = []
     for _ in range(3):
-        roster.failed("b:1", "connection refused")
-        roster.answered("a:1", answer(ready=False))
+        roster.note_failure("b:1", "connection refused")
+        roster.note_answer("a:1", answer(ready=False))
         lines += [f"{note.text} {note.facts.get('why', '')}" for note in status_log.changes(roster, LATER_S)]
     assert [line.partition(":")[0] for line in lines] == [
         "a supernode cannot serve it knows no leader with a majority",
         "a supernode cannot serve connection refused",
         "no supernode can serve this front-end",
     ]
-    roster.answered("a:1", answer(ready=True))
+    roster.note_answer("a:1", answer(ready=True))
     assert [(note.is_well, note.is_return) for note in status_log.changes(roster, LATER_S)] == [
         (True, True),
         (True, True),
@@ -69,17 +69,17 @@ def test_the_loss_of_the_majority_and_its_return_are_reported_once_each() -> Non
 
 def test_the_first_ready_answer_of_a_supernode_is_no_return() -> None:
     roster, status_log = started()
-    roster.answered("a:1", answer(ready=True))
+    roster.note_answer("a:1", answer(ready=True))
     assert [note.is_return for note in status_log.changes(roster, 101.0)] == [False, False]
 
 
 def test_at_the_start_a_front_end_tries_all_supernodes_before_it_reports_that_none_can_serve() -> None:
     roster, status_log = started()
-    roster.failed("a:1", "connection refused")
+    roster.note_failure("a:1", "connection refused")
     assert [note.facts for note in status_log.changes(roster, LATER_S)] == [
         {"supernode": "a:1", "why": "connection refused"}
     ]
-    roster.failed("b:1", "connection refused")
+    roster.note_failure("b:1", "connection refused")
     assert [note.text.partition(":")[0] for note in status_log.changes(roster, LATER_S)][
         -1
     ] == "no supernode can serve this front-end"

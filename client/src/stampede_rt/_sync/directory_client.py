@@ -247,10 +247,10 @@ class DirectoryClient:
                 method = getattr(endpoint.directory, call.method)
                 return endpoint.call(method, call.request, attempt.timeout_s, age_s=age_clock_s() - call.since_s)
             except StampedeError as error:
-                rounds.failed(attempt.target, error)
+                rounds.note_failure(attempt.target, error)
                 self.demote(attempt.target, error)
         for target in self._strangers.difference(supernodes):
-            rounds.failed(target, WrongCluster(f"{target} is of another cluster"))
+            rounds.note_failure(target, WrongCluster(f"{target} is of another cluster"))
         raise rounds.failure(self._targets)
 
     def _usable_targets(self) -> list[str]:

@@ -58,7 +58,7 @@ class DirectoryCall:
                 return Attempt(target, self._timeouts_s[target])
         return None
 
-    def failed(self, target: str, error: StampedeError) -> None:
+    def note_failure(self, target: str, error: StampedeError) -> None:
         """Note that the supernode at `target` did not serve the call. If it named a leader, the leader is next.
 
         An earlier failure of the same supernode stays if the latest attempt had too little time, and has certainly

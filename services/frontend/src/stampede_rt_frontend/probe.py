@@ -128,7 +128,7 @@ class Prober:
         """Probe once. Returns True if the supernode can serve."""
         try:
             answer = await _ping(channel, stub)
-            accepted = self._roster.answered(target, answer)
+            accepted = self._roster.note_answer(target, answer)
             if not accepted and self._foreign.get(target) != answer.cluster_id:
                 self._foreign[target] = answer.cluster_id
                 logger.warning(
@@ -142,7 +142,7 @@ class Prober:
         except grpc.aio.AioRpcError as error:
             why = str(await self._explained(target, from_rpc_error(error, target)))
             logger.debug("probe failed", extra={"event": "supernode_probe_failed", "target": target, "why": why})
-            self._roster.failed(target, why)
+            self._roster.note_failure(target, why)
             return False
         return answer.ready and accepted
 

@@ -12,7 +12,7 @@ _SMOOTHING = 8  # a new measurement counts for one eighth, as in TCP's round-tri
 class Supernode:
     """The known facts of one supernode.
 
-    `answered`: the supernode answered the last probe. `healthy`: its answer said that it can serve. `round_trip_nanos`
+    `has_answered`: the supernode answered the last probe. `healthy`: its answer said that it can serve. `round_trip_nanos`
     is smoothed over the probes; None if no round trip was measured.
     """
 
@@ -20,7 +20,7 @@ class Supernode:
     target: str
     zone: str = ""
     is_leader: bool = False
-    answered: bool = False
+    has_answered: bool = False
     healthy: bool = False
     round_trip_nanos: int | None = None
 

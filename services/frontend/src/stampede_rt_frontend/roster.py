@@ -70,7 +70,7 @@ class SupernodeRoster:
         """The supernodes to probe."""
         return tuple(self._nodes)
 
-    def answered(self, target: str, answer: ProbeAnswer) -> bool:
+    def note_answer(self, target: str, answer: ProbeAnswer) -> bool:
         """Process an answer of `target`. Returns False if the supernode belongs to another cluster and is left out."""
         node = self._nodes.get(target)
         if node is None:
@@ -88,11 +88,11 @@ class SupernodeRoster:
         if answer.clock is not None:
             self.clocks[target] = answer.clock
         self._nodes[target] = replace(
-            node, supernode_id=answer.supernode_id, answered=True, healthy=answer.ready, round_trip_nanos=trip
+            node, supernode_id=answer.supernode_id, has_answered=True, healthy=answer.ready, round_trip_nanos=trip
         )
         return True
 
-    def failed(self, target: str, why: str) -> None:
+    def note_failure(self, target: str, why: str) -> None:
         """Note that `target` did not answer, and the reason."""
         if target in self._nodes:
             self._fail(self._nodes[target], why)
@@ -119,14 +119,16 @@ class SupernodeRoster:
             if one.zone and one.target in self._nodes:
                 self._nodes[one.target] = replace(self._nodes[one.target], zone=one.zone)
 
-    def known(self) -> list[Supernode]:
+    def supernodes(self) -> list[Supernode]:
         """The supernodes to name to callers, each id once. Leaves out seeds that are not members.
 
         If several targets have the same id, names one that answered; among equals, one that is in the member list.
         """
         best: dict[str, Supernode] = {}
         members = set(self._listed.values())
-        for node in sorted(self._nodes.values(), key=lambda one: (not one.answered, one.target not in self._listed)):
+        for node in sorted(
+            self._nodes.values(), key=lambda one: (not one.has_answered, one.target not in self._listed)
+        ):
             if node.supernode_id and (not members or node.supernode_id in members):
                 best.setdefault(node.supernode_id, node)
         return list(best.values())
@@ -138,9 +140,9 @@ class SupernodeRoster:
         """
         states: dict[str, str | None] = {}
         for target, node in self._nodes.items():
-            if node.answered or target in self._failures:
+            if node.has_answered or target in self._failures:
                 unready = "it knows no leader with a majority"
-                states[target] = None if node.healthy else unready if node.answered else self._failures[target]
+                states[target] = None if node.healthy else unready if node.has_answered else self._failures[target]
         return states
 
     def round_trips(self) -> dict[str, int]:
@@ -153,7 +155,7 @@ class SupernodeRoster:
 
     def any_answered(self) -> bool:
         """Whether at least one supernode answered its last probe."""
-        return any(node.answered for node in self._nodes.values())
+        return any(node.has_answered for node in self._nodes.values())
 
     def failures(self) -> Sequence[str]:
         """The targets whose last probe failed, each with the reason, for error texts."""
@@ -178,7 +180,7 @@ class SupernodeRoster:
     def _fail(self, node: Supernode, why: str) -> None:
         self._failures[node.target] = why
         self.clocks.pop(node.target, None)
-        self._nodes[node.target] = replace(node, answered=False, healthy=False, is_leader=False)
+        self._nodes[node.target] = replace(node, has_answered=False, healthy=False, is_leader=False)
 
     def _merged(self, target: str, reported: Supernode | None) -> Supernode:
         """The supernode at `target` with the data of a member list, `reported`; None: the list does not name it.

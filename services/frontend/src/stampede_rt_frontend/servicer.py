@@ -61,7 +61,7 @@ class FrontendServicer(frontend_service_pb2_grpc.FrontendServiceServicer):
                 reason="NO_QUORUM",
             )
         return frontend_service_pb2.BindResponse(
-            supernodes=[_record(node) for node in rank(self._roster.known(), zone)],
+            supernodes=[_record(node) for node in rank(self._roster.supernodes(), zone)],
             cluster_id=self._roster.cluster_id,
             former_cluster_ids=self._roster.former_cluster_ids,
             protocol_version=PROTOCOL_VERSION,

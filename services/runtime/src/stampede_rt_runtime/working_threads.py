@@ -50,7 +50,7 @@ class WorkingThreads(ThreadPoolExecutor):
         thread = threading.Thread(
             target=_work,
             args=(self._calls, self._free),
-            name=f"{self._name}_{len(self._made)}",
+            name=f"{self._name}_{len(self._started_threads)}",
             daemon=True,
         )
         self._started_threads.append(thread)

@@ -33,10 +33,10 @@ from stampede_rt_supernode.background import background
 from stampede_rt_supernode.core.access.queries import access_state, quota_counts_of_callers
 from stampede_rt_supernode.joining.copied_folder import OwnAddress
 from stampede_rt_supernode.joining.founding import FoundingRecord, misplacement_warning, note_started, read_founding
+from stampede_rt_supernode.joining.join_requests import NEWER_RELEASE, ask_to_join
 from stampede_rt_supernode.joining.members import Members, why_diverged
 from stampede_rt_supernode.joining.preparing import PREPARING, prepare
 from stampede_rt_supernode.joining.probe import Probe
-from stampede_rt_supernode.joining.volunteering import NEWER_RELEASE, ask_to_join
 from stampede_rt_supernode.metrics import SupernodeMetrics
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication import (

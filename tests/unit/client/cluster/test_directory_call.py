@@ -32,7 +32,7 @@ def round_targets(call: DirectoryCall, failures: dict[str, StampedeError], now_s
     order: list[str] = []
     while (attempt := call.next_attempt(now_s)) is not None:
         order.append(attempt.target)
-        call.failed(attempt.target, failures[attempt.target])
+        call.note_failure(attempt.target, failures[attempt.target])
     return order
 
 
@@ -70,7 +70,7 @@ def test_an_error_that_all_supernodes_would_give_ends_the_call() -> None:
     call.begin_round(["a", "b"], 2.5)
     call.next_attempt(0.0)
     with pytest.raises(ChannelNotFound):
-        call.failed("a", ChannelNotFound("there is no channel cam"))
+        call.note_failure("a", ChannelNotFound("there is no channel cam"))
 
 
 def test_a_missing_majority_is_inferred_from_the_failures_of_all_rounds() -> None:

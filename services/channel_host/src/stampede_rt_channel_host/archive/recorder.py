@@ -256,7 +256,7 @@ class ChannelRecorder:
             if expected < self._channel.next_seq:
                 parts.append(MissingSeqs(expected, self._channel.next_seq))
                 expected = self._channel.next_seq
-        self._channel.backlog.taken(expected, unheld)
+        self._channel.backlog.note_archived(expected, unheld)
         return WriteJob(self.files, parts, self.limits, expected, size)
 
     def _add(self, parts: list[Part], run: Run) -> int:

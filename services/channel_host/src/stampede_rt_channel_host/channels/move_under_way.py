@@ -66,7 +66,7 @@ class MoveUnderWay:
         self.stop()
         self._puts.release()
 
-    def gone(self, redirect_error: StampedeError) -> None:
+    def redirect(self, redirect_error: StampedeError) -> None:
         """Send the waiting calls to another host, which owns the channel now."""
         self.redirect_error = redirect_error
         self.stop()

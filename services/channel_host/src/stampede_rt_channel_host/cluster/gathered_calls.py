@@ -27,7 +27,7 @@ LONG_CALL_INTERVAL_S_MAX.
 class GatheredCalls(Generic[Request, Answer]):
     """Requests that come while a call is under way go together into the next call. So a lone request never waits.
 
-    `ask` makes a call for some requests, `requests_max` at most. It returns an answer or an error for each, in their order.
+    `ask` makes a call for up to `requests_max` requests. It returns an answer or an error for each, in their order.
     """
 
     def __init__(

@@ -214,7 +214,7 @@ class Supernodes:
             except StampedeError as error:
                 if error.reason == call.final_reason:
                     raise
-                rounds.failed(attempt.target, error)
+                rounds.note_failure(attempt.target, error)
                 continue
             self._prefer(attempt.target)
             return answer

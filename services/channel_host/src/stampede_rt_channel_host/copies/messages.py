@@ -220,7 +220,7 @@ def _collection_to(collection: CollectionFacts) -> pb.FeedCollection:
         collected_end_unix_nano=_clamped(collection.collected_end),
         collected_by=_CAUSES[collection.collected_by],
         newest_consumed_unix_nano=collection.newest_consumed,
-        came_up_to_unix_nano=collection.came_up_to,
+        came_up_to_unix_nano=collection.frontier_max,
     )
 
 

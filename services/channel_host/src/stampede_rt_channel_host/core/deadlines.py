@@ -35,8 +35,8 @@ class Deadlines(Generic[T]):
     """Things by deadline.
 
     Each operation costs amortised O(log n). When more than about half of the entries are outdated, the heap becomes the
-    old heap, and a new heap begins. Each `set_due` then takes a few entries from the old heap, and moves the entries that
-    still count to the new heap. So no call scans all entries.
+    old heap, and a new heap begins. Each `set_due` then takes a few entries from the old heap, and moves the entries
+    that still count to the new heap. So no call scans all entries.
     """
 
     def __init__(self) -> None:

@@ -205,9 +205,9 @@ class HostedQueue(ReplicatedQueue):
         self.queue.grant(taker, credit, self._now())
         self.follow_up()
 
-    def sent(self, taker: TakerState) -> None:
+    def note_sent(self, taker: TakerState) -> None:
         """Note that the taker's last batch has been sent."""
-        self.queue.sent(taker, self._now())
+        self.queue.note_sent(taker, self._now())
         self.follow_up()
 
     def leave(self, taker: TakerState) -> None:

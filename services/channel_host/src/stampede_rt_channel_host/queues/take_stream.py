@@ -179,7 +179,7 @@ class TakeStream:
         elif probes and not self._closed:
             await self._write(hosted, b"")
         if batch is not None:
-            hosted.sent(taker)
+            hosted.note_sent(taker)
 
     async def _wait_for_change(self) -> bool:
         """Wait until there may be something to send. Returns False if a sign of life is due first."""

@@ -22,7 +22,7 @@ class Moves:
         self.room, self.end, self.under_way = DrainRoom(), asyncio.Event(), list[bytes]()
 
     async def move(self, host_id: bytes, *, is_queue: bool = False) -> None:
-        async with self.room.taken(host_id, is_queue=is_queue):
+        async with self.room.move_slot(host_id, is_queue=is_queue):
             self.under_way.append(host_id)
             await self.end.wait()
 
@@ -34,7 +34,7 @@ class Moves:
     async def answered(self, host_id: bytes, times: int, seconds: float = 0.1) -> None:
         """Let the host take this many things over, each in this time."""
         for _ in range(times):
-            self.room.answered(host_id, seconds)
+            self.room.note_move(host_id, seconds)
         await self.turns()
 
     async def turns(self) -> None:

@@ -185,7 +185,7 @@ def test_a_batch_keeps_the_limit_of_a_response_and_a_large_message_is_sent_separ
     sizes = []
     while batches := core.queue.take_batches():
         sizes += [batch.items for _, batch in batches]
-        core.queue.sent(taker, core.now)
+        core.queue.note_sent(taker, core.now)
     assert sizes == [2, 1, 1, 1]
 
 

@@ -33,7 +33,7 @@ def test_a_batch_holds_a_bounded_number_of_messages_however_small_they_are() -> 
     ((taker, batch),) = core.queue.take_batches()
     assert len(batch.slices) == ITEMS_DISPATCHED_MAX
     core.queue.sending(taker)
-    core.queue.sent(taker, core.now)
+    core.queue.note_sent(taker, core.now)
     assert core.dispatched() == {1: [*range(ITEMS_DISPATCHED_MAX + 1, 2001)]}
 
 
@@ -62,7 +62,7 @@ def test_no_call_delivers_more_messages_than_the_limit_of_a_call() -> None:
         taker, batch = busy.pop(0)
         given += batch.items
         core.queue.sending(taker)
-        core.queue.sent(taker, core.now)
+        core.queue.note_sent(taker, core.now)
         batches = core.queue.take_batches()
         assert sum(batch.items for _, batch in batches) <= ITEMS_DISPATCHED_MAX
         busy += batches

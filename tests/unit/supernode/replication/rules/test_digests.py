@@ -105,7 +105,7 @@ def polled(own_digest: bytes, answers: dict[str, bytes], *, voters: int) -> Dige
     poll = DigestPoll()
     poll.ask(0.0, (7, own_digest), [])
     for name, digest in answers.items():
-        poll.answered(name, (7, digest), "abcdef"[:voters])
+        poll.note_answer(name, (7, digest), "abcdef"[:voters])
     return poll
 
 
@@ -133,7 +133,7 @@ def test_the_state_of_a_majority_of_voters_counts_as_right_under_any_leader(
 def test_a_member_that_differs_from_the_leader_is_in_doubt_until_most_agree() -> None:
     poll = polled(ONE, {"a": OTHER}, voters=2)
     assert poll.doubts == {"a": 7}
-    poll.answered("b", (7, ONE), "ab")
+    poll.note_answer("b", (7, ONE), "ab")
     assert poll.doubts == {}
     assert poll.ids_with_digest(OTHER) == ["a"]
 
@@ -141,7 +141,7 @@ def test_a_member_that_differs_from_the_leader_is_in_doubt_until_most_agree() ->
 def test_a_doubt_ends_when_its_member_is_removed_or_agrees() -> None:
     poll = polled(ONE, {"a": OTHER, "b": OTHER}, voters=3)
     assert poll.doubts == {"a": 7, "b": 7}
-    poll.answered("b", (7, ONE), "bcd")
+    poll.note_answer("b", (7, ONE), "bcd")
     assert poll.doubts == {}, "one member was removed, and the other one agrees now"
 
 
@@ -153,8 +153,8 @@ def test_a_leader_asks_for_a_digest_until_all_connected_members_answer_or_six_se
     poll.ask(0.0, (7, ONE), "ab")
     poll.ask(0.4, (8, ONE), [])
     assert poll.named_state == (7, ONE)
-    poll.answered("a", (7, ONE), "ab")
-    poll.answered("b", (6, OTHER), "ab")
+    poll.note_answer("a", (7, ONE), "ab")
+    poll.note_answer("b", (6, OTHER), "ab")
     poll.ask(1.0, (9, ONE), "ab")
     assert poll.named_state == (7, ONE), "b has not come so far"
     poll.ask(1.0, (9, ONE), "a")

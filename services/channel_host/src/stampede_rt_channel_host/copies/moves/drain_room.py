@@ -30,13 +30,13 @@ class DrainRoom:
         self._raised: Counter[bytes] = Counter()  # by destination: the moves by which its limit has risen
 
     @asynccontextmanager
-    async def taken(self, host_id: bytes, *, is_queue: bool) -> AsyncIterator[None]:
+    async def move_slot(self, host_id: bytes, *, is_queue: bool) -> AsyncIterator[None]:
         """Wait until the limits allow another move to that host. The move counts as under way during the block."""
         to = self._to.setdefault(host_id, asyncio.Semaphore(MOVES_AT_FIRST))
         async with self._queues if is_queue else nullcontext(), to, self._all:
             yield
 
-    def answered(self, host_id: bytes, seconds: float) -> None:
+    def note_move(self, host_id: bytes, seconds: float) -> None:
         """Note that this host has taken something over in this time. If it was fast, it may now have more moves."""
         if seconds > SLOW_MOVE_SECONDS:
             return

@@ -164,12 +164,12 @@ class _OtherHosts:
         the errors of MigrationService.MoveHere, Unavailable, and DeadlineExceeded if the host has not begun the move
         after BEGIN_SECONDS_MAX.
         """
-        async with self._room.taken(host.host_id, is_queue=own.is_queue):
+        async with self._room.move_slot(host.host_id, is_queue=own.is_queue):
             other = self.after(own, host) if host.host_id in self._silent else host
             if other is host or other is None or other.host_id in self._silent:
                 begun_s = time.monotonic()
                 await self._ask(own, host)
-                self._room.answered(host.host_id, time.monotonic() - begun_s)
+                self._room.note_move(host.host_id, time.monotonic() - begun_s)
         return other or host
 
     async def _ask(self, own: OwnSubject, host: OtherHost) -> None:

@@ -27,16 +27,14 @@ class MoveSlots:
         return self._creators.total()
 
     def check(self, record: RecordedChannel | RecordedQueue) -> None:
-        """Raises Overloaded if too many channels move now, or if too many of them have the same creator as this
-        channel.
-        """
+        """Raises Overloaded if too many channels move now, or too many with the same creator as this channel."""
         if self.under_way >= self._moves_max:
             raise Overloaded(f"{self._moves_max} {self._what} move {self._direction} already; wait until one has moved")
         creator = record.created_by
         if _has_name(creator) and self._creators[creator] >= self._moves_of_one_max:
             raise Overloaded(
-                f"{creator} has created {self._moves_of_one_max} of the {self._what} that move {self._direction} already; "
-                "wait until one has moved"
+                f"{creator} has created {self._moves_of_one_max} of the {self._what} that move {self._direction} "
+                "already; wait until one has moved"
             )
 
     def take(self, record: RecordedChannel | RecordedQueue) -> None:

@@ -151,7 +151,7 @@ class OutgoingMove:
             return
         record = self._hosted.record
         error = refusals.moved_to(record.name, self._host_id, self._target, epoch, record.spec_version)
-        self._moving.gone(error)
+        self._moving.redirect(error)
         self._moves.moved.note(record.name)
         self._moves.store.scheduler.begin(self._hosted.ending(error))
 

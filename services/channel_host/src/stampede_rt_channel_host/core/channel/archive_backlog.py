@@ -34,7 +34,7 @@ class ArchiveBacklog:
         self.at_risk, self.lost_times = 0, None
         self.lost = max(0, self.lost - named) if end_seq < self._held.next_seq else 0
 
-    def taken(self, end_seq: int, lost: int) -> None:
+    def note_archived(self, end_seq: int, lost: int) -> None:
         """Note that a write has taken the items below `end_seq`, among them `lost` items that memory has lost."""
         self._taken_to = end_seq
         self.at_risk = min(lost, self.lost)

@@ -52,7 +52,7 @@ class FedHoldings(Holdings):
         self.floor_resets = collection.floor_resets
         self.newest_collected = collection.newest_collected
         self.collected_end, self.collected_by = collection.collected_end, collection.collected_by
-        self.newest_consumed, self.came_up_to = collection.newest_consumed, collection.came_up_to
+        self.newest_consumed, self.frontier_max = collection.newest_consumed, collection.frontier_max
 
     def _one_below(self, key: ItemKey) -> OldestItems | None:
         """The item below `key` if there is exactly one. None: there is none, or the index needs a longer search."""

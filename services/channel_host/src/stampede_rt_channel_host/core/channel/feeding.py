@@ -40,7 +40,7 @@ class FeedPlace(NamedTuple):
 class CollectionFacts(NamedTuple):
     """The items that retention has collected from a channel (see the attributes of `HeldItems`).
 
-    All items below the key `floor` are collected. `came_up_to` bounds the frontier while the channel holds no item.
+    All items below the key `floor` are collected. `frontier_max` bounds the frontier while the channel holds no item.
     """
 
     floor: ItemKey
@@ -50,7 +50,7 @@ class CollectionFacts(NamedTuple):
     collected_end: int | None
     collected_by: str
     newest_consumed: int | None
-    came_up_to: int | None
+    frontier_max: int | None
 
     def with_floor(self, new: NewFloor) -> CollectionFacts:
         """This collection with the fields of `new`."""
@@ -298,5 +298,5 @@ def collection_of(held: Holdings) -> CollectionFacts:
         held.collected_end,
         held.collected_by,
         held.newest_consumed,
-        held.came_up_to,
+        held.frontier_max,
     )

@@ -65,13 +65,13 @@ class HeldItems:
         "_trim_is_due",
         "accepted",
         "accepted_bytes",
-        "came_up_to",
         "collected",
         "collected_by",
         "collected_end",
         "floor",
         "floor_resets",
         "freed_entries",
+        "frontier_max",
         "index",
         "items",
         "last_cause",
@@ -109,7 +109,7 @@ class HeldItems:
         self.overlap_nanos = 0
         self._on_gone: Callable[[int, int], None] | None = None  # tells the consumers; see `Holdings.tell`
         self._reported_to: ItemKey = FIRST_KEY  # the consumers know of all collected items below this key
-        self.came_up_to: int | None = None  # the upper bound of `frontier` while no item is held
+        self.frontier_max: int | None = None  # the upper bound of `frontier` while no item is held
         # A time and the time of the next bucket, as of the last `next_time`; a new item resets both.
         self._following: tuple[int | None, int | None] = (None, None)
         self._newest_is_open = False  # whether an item of the newest bucket has no duration
@@ -199,7 +199,7 @@ class HeldItems:
         count. So the long duration of a collected item does not move the frontier past times at which items may still
         come.
         """
-        bound = self.came_up_to if self.oldest is None else self.oldest
+        bound = self.frontier_max if self.oldest is None else self.oldest
         if self.collected_end is None or bound is None:
             return self.collected_end
         return min(self.collected_end, bound)

@@ -227,7 +227,7 @@ class Holdings(HeldItems):
         self.floor = last.last_time, last.end_seq
         self._count_collected(oldest, cause)
         if oldest.rest is None:
-            self.came_up_to = last.last_time if cause == CONSUMPTION else max(last.last_time, now)
+            self.frontier_max = last.last_time if cause == CONSUMPTION else max(last.last_time, now)
         self.report_gone(REPORTED_SLICES_MAX)
 
     def _count_collected(self, oldest: OldestItems, cause: str) -> None:

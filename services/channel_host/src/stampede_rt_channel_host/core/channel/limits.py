@@ -118,12 +118,12 @@ def _check(policy: Policy) -> None:
 
 
 def _check_adaptive(policy: Policy) -> None:
-    max_age, max_unconsumed = policy.max_age_nanos, policy.max_age_unconsumed_nanos
-    if max_unconsumed is not None and (max_age is None or not max_age <= max_unconsumed <= MAX_INSTANT):
+    max_age, longest_age = policy.max_age_nanos, policy.max_age_unconsumed_nanos
+    if longest_age is not None and (max_age is None or not max_age <= longest_age <= MAX_INSTANT):
         stated = "is not stated" if max_age is None else f"is {format_duration(max_age)}"
         raise InvalidArgument(
-            f"max_age_unconsumed is {format_duration(max_unconsumed)} and max_age, which it prolongs for consumers that lag, "
-            f"{stated}; state both, max_age_unconsumed not below max_age"
+            f"max_age_unconsumed is {format_duration(longest_age)} and max_age, which it prolongs for consumers that "
+            f"lag, {stated}; state both, max_age_unconsumed not below max_age"
         )
 
 

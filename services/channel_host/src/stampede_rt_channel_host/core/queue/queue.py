@@ -180,7 +180,7 @@ class QueueCore:
         """Note that the host begins to send the taker's latest batch. From now on the batch counts as delivered."""
         taker.unsent = None
 
-    def sent(self, taker: TakerState, now: int) -> None:
+    def note_sent(self, taker: TakerState, now: int) -> None:
         """Note that the host has sent the taker's latest batch. The taker waits for more messages if it has credit."""
         clock = self._due_work.tick(now)
         taker.unsent, taker.is_busy = None, False
@@ -282,7 +282,7 @@ class QueueCore:
     def take_batches(self) -> list[tuple[TakerState, Batch]]:
         """The new batches since the last call, with their takers.
 
-        The caller sends each batch. It calls `sending` when it begins to send a batch, and `sent` when it has sent it.
+        The caller sends each batch. It calls `sending` when it begins to send a batch, and `note_sent` when it has sent it.
         """
         batches, self._dispatcher.batches = self._dispatcher.batches, []
         return batches

@@ -120,7 +120,7 @@ class DigestPoll:
             self.named_state, self._since = state, now
             self._held.clear()
 
-    def answered(self, member_id: str, answer: StateDigest, voters: Collection[str]) -> None:
+    def note_answer(self, member_id: str, answer: StateDigest, voters: Collection[str]) -> None:
         """Process the answer of a member. `voters`: the ids of all other voters."""
         index, digest = answer
         if not digest or index != self.named_state[0]:

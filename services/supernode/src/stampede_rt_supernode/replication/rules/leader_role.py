@@ -47,7 +47,7 @@ class LeaderRole(Membership):
             self.next_index[node] = max(next_index, self.match_index[node] + 1, 2)
         self.note_answer(node)
         self.reads.on_echo(node.id, message.round)
-        self.poll.answered(node.id, message.digest, self.voter_ids())
+        self.poll.note_answer(node.id, message.digest, self.voter_ids())
 
     def send_append_entries(self) -> None:
         """Send every connected member the entries that it lacks, or a heartbeat.

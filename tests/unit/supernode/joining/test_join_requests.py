@@ -19,7 +19,7 @@ from stampede_rt.v1 import membership_service_pb2_grpc
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.server import serving
 from stampede_rt_supernode.joining.founding import FoundingRecord, read_founding, write_founding
-from stampede_rt_supernode.joining.volunteering import REFUSED_SECONDS_MAX, ask_to_join, seconds_before_asking
+from stampede_rt_supernode.joining.join_requests import REFUSED_SECONDS_MAX, ask_to_join, seconds_before_asking
 from stampede_rt_supernode.replication.interface import too_old
 
 

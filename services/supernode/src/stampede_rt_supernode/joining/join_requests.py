@@ -22,7 +22,7 @@ from stampede_rt_supernode.replication import ReplicatedLog
 
 logger = logging.getLogger(__name__)
 
-# How long a member may take to answer one request.
+# The time in which a member must answer one request.
 ATTEMPT_SECONDS = 30.0
 # The pause between two requests. It doubles after each failure, up to the maximum.
 PAUSE_SECONDS, PAUSE_SECONDS_MAX = 0.5, 10.0
