@@ -65,7 +65,7 @@ class OracleChannel:
         self.advanced_to: int | None = None
         self.consumed_times: list[int] = []
         # the time of the last collection, or the latest time of the items that consumption then collected
-        self.came_up_to = 0
+        self.frontier_max = 0
         self.consumers: OracleConsumers | None = None
         self._count_consumers()
 
@@ -126,11 +126,11 @@ class OracleChannel:
     def frontier(self) -> int | None:
         """The latest span end of a collected item, but at most the time of the oldest held item.
 
-        If no item is held, the frontier is at most `came_up_to`.
+        If no item is held, the frontier is at most `frontier_max`.
         """
         if not self.collected_ends:
             return None
-        bounds = [item.time for item in self.held] or [self.came_up_to]
+        bounds = [item.time for item in self.held] or [self.frontier_max]
         return min(max(self.collected_ends), *bounds)
 
     def now(self, clock: int) -> int:
@@ -354,9 +354,9 @@ class OracleChannel:
         return {item.time for item in self.held}
 
     def _collect(self, items: list[Item], cause: str, clock: int) -> None:
-        self.came_up_to = self.now(clock)
+        self.frontier_max = self.now(clock)
         if cause == "consumption":
-            self.came_up_to = max(item.time for item in items)
+            self.frontier_max = max(item.time for item in items)
             self.consumed_times += [item.time for item in items]
         else:
             self.collected_ends += [

@@ -203,13 +203,13 @@ def test_a_front_end_takes_up_a_cluster_founded_anew_at_the_addresses_of_a_clust
 
 EVENTS = st.one_of(
     st.builds(
-        lambda target, name, ready, cluster: ("answered", target, answer(name, ready=ready, cluster=cluster)),
+        lambda target, name, ready, cluster: ("note_answer", target, answer(name, ready=ready, cluster=cluster)),
         st.sampled_from(["s1:1", "s2:1", "s3:1"]),
         st.sampled_from(["s1", "s2"]),
         st.booleans(),
         st.sampled_from(["", "c1", "c2"]),
     ),
-    st.builds(lambda target: ("failed", target, "refused"), st.sampled_from(["s1:1", "s2:1", "s3:1"])),
+    st.builds(lambda target: ("note_failure", target, "refused"), st.sampled_from(["s1:1", "s2:1", "s3:1"])),
     st.builds(
         lambda names, term: ("update_members", members(*names, term=term)),
         st.sets(st.sampled_from(["s1", "s2", "s3", "s4"])),
@@ -228,7 +228,7 @@ def test_seeds_stay_probed_ids_are_listed_once_and_health_follows_the_last_probe
         accepted = getattr(roster, kind)(*arguments)
         if kind != "update_members":
             target, what = arguments
-            last_probe[target] = kind == "answered" and accepted and what.ready
+            last_probe[target] = kind == "note_answer" and accepted and what.ready
         last_probe = {target: last_probe.get(target, False) for target in roster.targets()}
         assert {"s1:1", "s9:1"} <= set(roster.targets())
         ids = [one.supernode_id for one in roster.supernodes()]

@@ -12,8 +12,8 @@ _SMOOTHING = 8  # a new measurement counts for one eighth, as in TCP's round-tri
 class Supernode:
     """The known facts of one supernode.
 
-    `has_answered`: the supernode answered the last probe. `healthy`: its answer said that it can serve. `round_trip_nanos`
-    is smoothed over the probes; None if no round trip was measured.
+    `has_answered`: the supernode answered the last probe. `healthy`: its answer said that it can serve.
+    `round_trip_nanos` is smoothed over the probes; None if no round trip was measured.
     """
 
     supernode_id: str

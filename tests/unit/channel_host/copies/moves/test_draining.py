@@ -277,7 +277,7 @@ async def test_the_drain_of_a_stopping_host_also_moves_the_channels_that_arrive_
 
 async def test_the_log_names_a_channel_that_arrives_and_cannot_move(caplog: pytest.LogCaptureFixture) -> None:
     host = Host(always=PermissionDenied("a rule denies it"))
-    assert [*(await drained(0, host, is_last=True, arriving=1)).left] == ["cam/0"]
+    assert [*(await drained(0, host, is_last=True, arriving=1)).unmoved] == ["cam/0"]
     assert caplog.messages[0].startswith("1 channel could not move to another host (a rule denies it); the host stops")
 
 

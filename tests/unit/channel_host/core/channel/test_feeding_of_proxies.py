@@ -49,7 +49,7 @@ def test_the_last_run_comes_with_the_items_that_have_left_because_of_it(core: Ch
 
 
 OTHER_FACTS = {
-    "floor_resets": 1, "last_cause": "age", "collected_by": "age", "newest_consumed": 1, "came_up_to": 1,
+    "floor_resets": 1, "last_cause": "age", "collected_by": "age", "newest_consumed": 1, "frontier_max": 1,
     "passed_seqs": 1,
 }  # fmt: skip
 

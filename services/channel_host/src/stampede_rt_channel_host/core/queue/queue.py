@@ -282,7 +282,7 @@ class QueueCore:
     def take_batches(self) -> list[tuple[TakerState, Batch]]:
         """The new batches since the last call, with their takers.
 
-        The caller sends each batch. It calls `sending` when it begins to send a batch, and `note_sent` when it has sent it.
+        The caller sends each batch. It calls `sending` when it begins to send a batch, and `note_sent` after it.
         """
         batches, self._dispatcher.batches = self._dispatcher.batches, []
         return batches
